@@ -1,0 +1,1 @@
+"""Numbers only: scans in, verdicts out. No ROS, no files, no logging set-up."""

@@ -1,0 +1,270 @@
+"""Every number that a user may set: one frozen tree, with units, ranges and the paper's symbols.
+
+The tree is the single source: the YAML files in `config/`, the ROS parameters and `svc_ros config` are walks over it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from svc_ros.core.errors import ConfigError
+
+METHODS = ("svc", "svc_paper", "sc2")
+
+
+@dataclass(frozen=True)
+class FieldInfo:
+    """What is known about one value of the tree: `name` is its dotted path, `default` its value in the tree."""
+
+    name: str
+    default: float | int | str | bool
+    description: str
+    unit: str
+    low: float | None
+    high: float | None
+    choices: tuple[str, ...]
+
+
+def _value(default: Any, text: str, unit: str = "", low: float | None = None, high: float | None = None,
+           choices: tuple[str, ...] = ()) -> Any:  # fmt: skip
+    return field(
+        default=default, metadata={"text": text, "unit": unit, "low": low, "high": high, "choices": choices}
+    )
+
+
+class _Group:
+    """Checks every field against its own metadata when the group is built."""
+
+    def __post_init__(self) -> None:
+        for f in dataclasses.fields(self):  # type: ignore[arg-type]
+            if f.metadata:
+                checked = _check_value(f.name, getattr(self, f.name), f)
+                object.__setattr__(self, f.name, checked)
+
+
+@dataclass(frozen=True)
+class PreprocessConfig(_Group):
+    """Range crop, voxel grid, normals (method section 5)."""
+
+    voxel_size_m: float = _value(0.3, "edge of the voxel grid that thins a scan (v)", "m", 0.005, 10.0)
+    min_range_m: float = _value(1.0, "points nearer to the sensor are dropped: the vehicle, the carrier", "m", 0.0, 1e4)
+    max_range_m: float = _value(80.0, "points farther from the sensor are dropped", "m", 0.1, 1e4)
+    normal_radius_voxels: float = _value(2.0, "neighbourhood of a normal, in voxels", "voxels", 1.0, 20.0)
+    normal_max_neighbours: int = _value(30, "most neighbours used for a normal", "", 3, 1000)
+    min_points: int = _value(100, "fewer points than this after the voxel grid are no scan", "", 3, 10_000_000)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.min_range_m >= self.max_range_m:
+            raise ConfigError(
+                f"preprocess: min_range_m ({self.min_range_m}) must be below max_range_m ({self.max_range_m})"
+            )
+
+    @property
+    def normal_radius_m(self) -> float:
+        """Neighbourhood of a normal [m]."""
+        return self.normal_radius_voxels * self.voxel_size_m
+
+
+@dataclass(frozen=True)
+class FeatureConfig(_Group):
+    """FPFH (method section 5)."""
+
+    radius_voxels: float = _value(5.0, "neighbourhood of a descriptor, in voxels", "voxels", 1.0, 50.0)
+    max_neighbours: int = _value(100, "most neighbours used for a descriptor", "", 5, 10_000)
+
+
+@dataclass(frozen=True)
+class MatchingConfig(_Group):
+    """Nearest descriptors become correspondences."""
+
+    strategy: str = _value(
+        "one_way", "which nearest neighbours become correspondences", choices=("one_way", "mutual", "ratio")
+    )
+    max_correspondences: int = _value(5000, "the best by distance (ratio: by ratio) are kept", "", 3, 100_000)
+    min_correspondences: int = _value(10, "fewer are answered with too_few_correspondences", "", 3, 100_000)
+
+
+@dataclass(frozen=True)
+class HypothesisConfig(_Group):
+    """Second-order spatial compatibility (SC2-PCR; method section 4)."""
+
+    compatibility_threshold_m: float = _value(0.1, "length difference of two compatible pairs (d_thr)", "m", 1e-3, 10.0)
+    inlier_threshold_m: float = _value(0.6, "residual of an inlier correspondence (tau_in)", "m", 1e-3, 10.0)
+    nms_radius_m: float = _value(0.6, "a seed has the largest eigenvector entry within this radius", "m", 0.0, 100.0)
+    seed_ratio: float = _value(0.2, "share of the correspondences that may become seeds", "", 1e-3, 1.0)
+    max_seeds: int = _value(1000, "most seeds, whatever their share", "", 1, 100_000)
+    first_consensus: int = _value(30, "size of the first consensus set (k1)", "", 3, 64)
+    second_consensus: int = _value(20, "size of the second consensus set (k2)", "", 3, 64)
+    power_iterations: int = _value(20, "rounds of the power iteration", "", 1, 1000)
+    ranking: str = _value("ic", "metric that ranks hypotheses", choices=("ic", "mae", "mse"))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.second_consensus > self.first_consensus:
+            raise ConfigError("hypotheses: second_consensus must not exceed first_consensus")
+
+
+@dataclass(frozen=True)
+class ShortlistConfig(_Group):
+    """Distinct hypotheses, each refined before it is judged."""
+
+    max_poses: int = _value(12, "distinct poses that are refined and judged", "", 1, 1000)
+    max_hypotheses: int = _value(200, "best hypotheses that the shortlist is drawn from (K)", "", 1, 100_000)
+    distinct_rotation_deg: float = _value(5.0, "poses farther apart than this are distinct", "deg", 0.0, 180.0)
+    distinct_translation_m: float = _value(1.0, "poses farther apart than this are distinct", "m", 0.0, 100.0)
+    correspondence_rounds: int = _value(20, "rounds of weighted Kabsch on the correspondences", "", 0, 100)
+    correspondence_eps_m: float = _value(1.2, "residual at which a weight is one half (eps)", "m", 1e-3, 10.0)
+    icp_rounds: int = _value(12, "rounds of point-to-plane ICP", "", 0, 200)
+    icp_distance_m: float = _value(1.0, "largest distance of an ICP pair", "m", 1e-3, 10.0)
+
+
+@dataclass(frozen=True)
+class SightViewConfig(_Group):
+    """Sight lines of the default method (method section 3)."""
+
+    tolerance_m: float = _value(0.6, "range and overlap tolerance (tau)", "m", 1e-3, 10.0)
+    max_incidence_deg: float = _value(85.0, "cap of the angle between ray and normal (phi)", "deg", 0.0, 89.9)
+    same_side_cosine: float = _value(0.3, "normals agree above this, are opposed below its negative", "", 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class PaperConfig(_Group):
+    """Algorithms 1 and 2 of the paper, used by method svc_paper only (method section 2)."""
+
+    tolerance_m: float = _value(0.6, "tolerance of overlap and of blocking (tau)", "m", 1e-3, 10.0)
+    cone_cosine: float = _value(0.99997, "dot product above which two directions are one sight line", "", 0.0, 1.0)
+    max_blocked_ratio: float = _value(0.02, "a pose passes below this blocked share (eta2)", "", 0.0, 1.0)
+    max_hypotheses: int = _value(200, "hypotheses that are tried in order (K)", "", 1, 100_000)
+
+
+@dataclass(frozen=True)
+class DecisionConfig(_Group):
+    """When a refined pose is accepted, rejected or left undecided."""
+
+    min_oriented_overlap: float = _value(0.10, "less oriented overlap is low_overlap", "", 0.0, 1.0)
+    max_blocked_per_overlap: float = _value(0.10, "blocked share over oriented overlap", "", 0.0, 10.0)
+    max_opposed_per_overlap: float = _value(0.60, "opposed share over oriented overlap", "", 0.0, 10.0)
+
+
+@dataclass(frozen=True)
+class Config:
+    """The whole configuration of one registration."""
+
+    method: str = _value("svc", "how a pose is chosen and judged", choices=METHODS)
+    preprocess: PreprocessConfig = field(default_factory=PreprocessConfig)
+    features: FeatureConfig = field(default_factory=FeatureConfig)
+    matching: MatchingConfig = field(default_factory=MatchingConfig)
+    hypotheses: HypothesisConfig = field(default_factory=HypothesisConfig)
+    shortlist: ShortlistConfig = field(default_factory=ShortlistConfig)
+    sight_view: SightViewConfig = field(default_factory=SightViewConfig)
+    paper: PaperConfig = field(default_factory=PaperConfig)
+    decision: DecisionConfig = field(default_factory=DecisionConfig)
+
+    def __post_init__(self) -> None:
+        _check_value("method", self.method, dataclasses.fields(self)[0])
+
+    @property
+    def feature_radius_m(self) -> float:
+        """Neighbourhood of a descriptor [m]."""
+        return self.features.radius_voxels * self.preprocess.voxel_size_m
+
+
+def _check_value(name: str, value: Any, f: dataclasses.Field[Any]) -> Any:
+    """Return `value` in the type of the field's default, or raise ConfigError naming what was expected."""
+    kind, meta = type(f.default), f.metadata
+    if isinstance(value, int) and not isinstance(value, bool) and kind is float:
+        value = float(value)
+    if not isinstance(value, kind) or isinstance(value, bool) is not (kind is bool):
+        raise ConfigError(f"{name}: expected {kind.__name__}, found {value!r}")
+    if meta["choices"] and value not in meta["choices"]:
+        raise ConfigError(unknown_name(name, value, meta["choices"]))
+    low, high = meta["low"], meta["high"]
+    if (low is not None and not value >= low) or (high is not None and not value <= high):
+        raise ConfigError(f"{name}: expected a value from {low:g} to {high:g} {meta['unit']}".rstrip() + f", found {value}")
+    return value
+
+
+def unknown_name(what: str, found: str, known: tuple[str, ...] | list[str]) -> str:
+    """One line for a name that does not exist, with the nearest one that does."""
+    near = difflib.get_close_matches(str(found), known, n=1, cutoff=0.5)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    return f"{what}: unknown name {found!r}{hint} (known: {', '.join(known)})"
+
+
+def walk(config: Config) -> Iterator[FieldInfo]:
+    """Yield every leaf of the tree in order, with its dotted name, for parameters, YAML and help texts."""
+    for f, prefix, owner in _leaves(config):
+        meta = f.metadata
+        yield FieldInfo(
+            prefix + f.name, getattr(owner, f.name), meta["text"], meta["unit"], meta["low"], meta["high"], meta["choices"]
+        )
+
+
+def _leaves(config: Config) -> Iterator[tuple[dataclasses.Field[Any], str, Any]]:
+    for f in dataclasses.fields(config):
+        value = getattr(config, f.name)
+        if dataclasses.is_dataclass(value):
+            for leaf in dataclasses.fields(value):
+                yield leaf, f"{f.name}.", value
+        else:
+            yield f, "", config
+
+
+def with_values(config: Config, values: Mapping[str, Any]) -> Config:
+    """Return a copy with dotted names replaced, checked as a whole; unknown names raise ConfigError."""
+    known = [info.name for info in walk(config)]
+    groups: dict[str, dict[str, Any]] = {}
+    for name, value in values.items():
+        if name not in known:
+            raise ConfigError(unknown_name("config", name, known))
+        group, _, leaf = name.rpartition(".")
+        groups.setdefault(group, {})[leaf] = value
+    changes: dict[str, Any] = groups.pop("", {})
+    for group, leaves in groups.items():
+        try:
+            changes[group] = dataclasses.replace(getattr(config, group), **leaves)
+        except ConfigError as error:
+            raise ConfigError(f"{group}.{error}" if not str(error).startswith(group) else str(error)) from None
+    return dataclasses.replace(config, **changes)
+
+
+PRESETS: dict[str, Config] = {
+    "lidar_outdoor": Config(),
+    "lidar_indoor": with_values(
+        Config(),
+        {
+            "preprocess.voxel_size_m": 0.25,
+            "preprocess.min_range_m": 0.5,
+            "preprocess.max_range_m": 60.0,
+            "sight_view.tolerance_m": 0.4,
+        },
+    ),
+    "rgbd_indoor": with_values(
+        Config(),
+        {
+            "preprocess.voxel_size_m": 0.05,
+            "preprocess.min_range_m": 0.0,
+            "preprocess.max_range_m": 10.0,
+            "hypotheses.inlier_threshold_m": 0.1,
+            "hypotheses.nms_radius_m": 0.1,
+            "shortlist.distinct_rotation_deg": 10.0,
+            "shortlist.distinct_translation_m": 0.3,
+            "shortlist.correspondence_eps_m": 0.1,
+            "shortlist.icp_distance_m": 0.15,
+            "sight_view.tolerance_m": 0.1,
+            "paper.tolerance_m": 0.1,
+        },
+    ),
+}
+
+
+def preset(name: str) -> Config:
+    """Return the named preset or raise ConfigError with the nearest name."""
+    if name not in PRESETS:
+        raise ConfigError(unknown_name("preset", name, list(PRESETS)))
+    return PRESETS[name]

@@ -1,0 +1,77 @@
+"""What the sight lines say about one pose: numbers and the points behind them, no judgement."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from svc_ros.core.scan import IndexArray, frozen_array
+
+
+@dataclass(frozen=True, eq=False)
+class SightLines:
+    """The sight lines of one scan (the observer), looked at with the other scan placed in its frame.
+
+    num_lines: sight lines that were checked; num_observed: lines along which the other scan has a point (the
+    paper's region of interest); blocked_idx: (B,) indices into the observer's prepared points whose line another
+    point blocks; blocker_idx: (B,) the point of the other scan that blocks it.
+    """
+
+    num_lines: int
+    num_observed: int
+    blocked_idx: IndexArray
+    blocker_idx: IndexArray
+
+    def __post_init__(self) -> None:
+        for name in ("blocked_idx", "blocker_idx"):
+            array = frozen_array(getattr(self, name), np.int64, f"SightLines.{name}", (None,))
+            object.__setattr__(self, name, array)
+
+    @property
+    def num_blocked(self) -> int:
+        """Blocked sight lines (paper: BC)."""
+        return len(self.blocked_idx)
+
+    @property
+    def blocked_ratio(self) -> float:
+        """Blocked share of all sight lines, in [0, 1]; 0 where there are none."""
+        return self.num_blocked / self.num_lines if self.num_lines else 0.0
+
+    @property
+    def observed_ratio(self) -> float:
+        """Share of the sight lines along which the other scan has a point, in [0, 1]."""
+        return self.num_observed / self.num_lines if self.num_lines else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class SightViewEvidence:
+    """Everything that was measured of one pose.
+
+    source_in_target: the target's sight lines, blocked by source points; target_in_source: the reverse.
+    overlap_ratio, oriented_overlap_ratio, opposed_ratio: of the smaller of both directions' shares of points with a
+    neighbour within tolerance; with a neighbour whose surface faces the same way; with one that faces the opposite.
+    """
+
+    source_in_target: SightLines
+    target_in_source: SightLines
+    overlap_ratio: float
+    oriented_overlap_ratio: float
+    opposed_ratio: float
+
+    def numbers(self) -> dict[str, float | int]:
+        """The evidence as flat key-values, for messages, files and the decision's model."""
+        near, far = self.source_in_target, self.target_in_source
+        return {
+            "blocked_ratio_source_in_target": near.blocked_ratio,
+            "blocked_ratio_target_in_source": far.blocked_ratio,
+            "overlap_ratio": self.overlap_ratio,
+            "oriented_overlap_ratio": self.oriented_overlap_ratio,
+            "opposed_ratio": self.opposed_ratio,
+            "observed_ratio_source_in_target": near.observed_ratio,
+            "observed_ratio_target_in_source": far.observed_ratio,
+            "num_blocked_source_in_target": near.num_blocked,
+            "num_blocked_target_in_source": far.num_blocked,
+            "num_lines_source_in_target": near.num_lines,
+            "num_lines_target_in_source": far.num_lines,
+        }

@@ -1,0 +1,1 @@
+"""Metrics and runners over labelled pairs."""

@@ -1,0 +1,1 @@
+"""What a stream of scans needs, without ROS."""

@@ -1,0 +1,1 @@
+"""LiDAR ray casting in built scenes with known poses."""
