@@ -1,0 +1,199 @@
+"""A decision as strict JSON, one object a line, and as flat key-values for diagnostic messages.
+
+Keys of the JSON object: verdict, reason, method, probability, T_target_source, best_candidate, covariance, evidence,
+counts, time_ms, detail. Matrices are nested lists, row by row, or null; `evidence` is empty where nothing was judged.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from enum import Enum
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from svc_ros.core.errors import InputError
+from svc_ros.core.evidence import SightLines, SightViewEvidence
+from svc_ros.core.result import Reason, RegistrationResult, Verdict
+from svc_ros.core.scan import Array
+from svc_ros.io.stamps import text_from_ns
+
+_Code = TypeVar("_Code", bound=Enum)
+
+
+def result_to_json(result: RegistrationResult, **extra: Any) -> dict[str, Any]:
+    """The result as plain values that strict JSON can hold; `extra` keys (stamps, paths, indices) come first.
+
+    `time_ms` always has `total`: of a result that was never timed it is the sum of its stages.
+    Raises InputError for a number that is NaN or inf, and for an extra key that the result itself has.
+    """
+    times = dict(result.time_ms)
+    times.setdefault("total", float(sum(times.values())))
+    own = {
+        "verdict": result.verdict,
+        "reason": result.reason,
+        "method": result.method,
+        "probability": result.probability,
+        "T_target_source": result.T_target_source,
+        "best_candidate": result.best_candidate,
+        "covariance": result.covariance,
+        "evidence": result.evidence.numbers() if result.evidence is not None else {},
+        "counts": result.counts,
+        "time_ms": times,
+        "detail": result.detail,
+    }
+    if taken := sorted(set(own) & set(extra)):
+        raise InputError(f"result: extra key {taken[0]!r} is one of the result's own")
+    return {key: _plain(value, key) for key, value in {**extra, **own}.items()}
+
+
+def result_from_json(record: Mapping[str, Any]) -> RegistrationResult:
+    """Rebuild a result from `result_to_json`; keys that are not the result's own are ignored.
+
+    JSON keeps how many sight lines are blocked, not which: the index arrays of the evidence have the right length and
+    hold -1. Raises InputError naming the key that is missing or wrong.
+    """
+    return RegistrationResult(
+        verdict=_code(record, "verdict", Verdict),
+        reason=_code(record, "reason", Reason),
+        method=str(record.get("method", "")),
+        T_target_source=_matrix(record, "T_target_source"),
+        best_candidate=_matrix(record, "best_candidate"),
+        covariance=_matrix(record, "covariance"),
+        probability=record.get("probability"),
+        evidence=_evidence(record.get("evidence") or {}),
+        counts=dict(record.get("counts") or {}),
+        time_ms=dict(record.get("time_ms") or {}),
+        detail=str(record.get("detail", "")),
+    )
+
+
+def json_line(record: Mapping[str, Any]) -> str:
+    """One record as one line of strict JSON, without the line's end; InputError names a value JSON cannot hold."""
+    return json.dumps({key: _plain(value, str(key)) for key, value in record.items()}, allow_nan=False)
+
+
+def write_jsonl(path: str | Path, records: Iterable[Mapping[str, Any]]) -> None:
+    """Write records as JSON lines into a new file, or over an old one."""
+    _write(path, "".join(json_line(record) + "\n" for record in records), "w")
+
+
+def append_jsonl(path: str | Path, record: Mapping[str, Any]) -> None:
+    """Add one record to the end of a file of JSON lines, which need not exist yet."""
+    _write(path, json_line(record) + "\n", "a")
+
+
+def read_jsonl(path: str | Path) -> list[dict[str, Any]]:
+    """Read all records of a file of JSON lines; InputError names the line that is no JSON object."""
+    try:
+        lines = Path(path).read_text("utf-8").splitlines()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: expected lines of JSON, found binary data") from None
+    return [_parsed(line, f"{path}:{number}") for number, line in enumerate(lines, 1) if line.strip()]
+
+
+def decision_values(result: RegistrationResult, source_stamp_ns: int, target_stamp_ns: int) -> dict[str, str]:
+    """The decision as flat key-values, for a DiagnosticStatus.
+
+    `verdict`, `reason`, `source_stamp`, `target_stamp` (seconds with nine decimals), `method` and `detail` are always
+    there; `probability` and the evidence's numbers where something was judged; `counts.NAME` and `time_ms.STAGE`.
+    """
+    values = {
+        "verdict": result.verdict.value,
+        "reason": result.reason.value,
+        "source_stamp": text_from_ns(source_stamp_ns),
+        "target_stamp": text_from_ns(target_stamp_ns),
+        "method": result.method,
+        "detail": result.detail,
+    }
+    numbers: dict[str, Any] = {} if result.probability is None else {"probability": result.probability}
+    numbers |= result.evidence.numbers() if result.evidence is not None else {}
+    numbers |= {f"counts.{name}": count for name, count in result.counts.items()}
+    numbers |= {f"time_ms.{stage}": round(float(ms), 3) for stage, ms in result.time_ms.items()}
+    return values | {key: f"{_plain(value, key):.9g}" for key, value in numbers.items()}
+
+
+def _plain(value: Any, key: str) -> Any:
+    """The value in JSON's own types; `key` is its path, for the complaint."""
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            raise InputError(f"result: {key}: expected a finite number, found {value}")
+        return value
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, Mapping):
+        return {str(name): _plain(item, f"{key}.{name}") for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item, f"{key}[{k}]") for k, item in enumerate(value)]
+    raise InputError(f"result: {key}: expected something that JSON can hold, found {type(value).__name__}")
+
+
+def _code(record: Mapping[str, Any], key: str, codes: type[_Code]) -> _Code:
+    try:
+        return codes(record[key])
+    except KeyError:
+        raise InputError(f"result: {key}: missing") from None
+    except ValueError:
+        known = ", ".join(str(code.value) for code in codes)
+        raise InputError(f"result: {key}: expected one of {known}, found {record[key]!r:.60}") from None
+
+
+def _matrix(record: Mapping[str, Any], key: str) -> Array | None:
+    value = record.get(key)
+    if value is None:
+        return None
+    try:
+        return np.array(value, np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"result: {key}: expected a matrix of numbers, found {value!r:.60}") from None
+
+
+def _evidence(numbers: Mapping[str, Any]) -> SightViewEvidence | None:
+    if not numbers:
+        return None
+    try:
+        return SightViewEvidence(
+            source_in_target=_sight_lines(numbers, "source_in_target"),
+            target_in_source=_sight_lines(numbers, "target_in_source"),
+            overlap_ratio=float(numbers["overlap_ratio"]),
+            oriented_overlap_ratio=float(numbers["oriented_overlap_ratio"]),
+            opposed_ratio=float(numbers["opposed_ratio"]),
+        )
+    except KeyError as error:
+        raise InputError(f"result: evidence.{error.args[0]}: missing") from None
+
+
+def _sight_lines(numbers: Mapping[str, Any], direction: str) -> SightLines:
+    num_lines = int(numbers[f"num_lines_{direction}"])
+    unknown = np.full(int(numbers[f"num_blocked_{direction}"]), -1)
+    num_observed = round(float(numbers[f"observed_ratio_{direction}"]) * num_lines)
+    return SightLines(num_lines, num_observed, unknown, unknown)
+
+
+def _parsed(line: str, place: str) -> dict[str, Any]:
+    try:
+        record = json.loads(line)
+    except json.JSONDecodeError as error:
+        raise InputError(f"{place}: expected one JSON object, found {error.msg} in column {error.colno}") from None
+    if not isinstance(record, dict):
+        raise InputError(f"{place}: expected one JSON object, found {line!r:.60}")
+    return record
+
+
+def _write(path: str | Path, text: str, mode: str) -> None:
+    try:
+        with Path(path).open(mode, encoding="utf-8") as file:
+            file.write(text)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
