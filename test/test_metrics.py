@@ -10,7 +10,6 @@ from svc_ros.core.se3 import make_pose
 from svc_ros.evaluation.metrics import (
     LabelledDecision,
     PairOutcome,
-    SuccessThresholds,
     decision_metrics,
     false_accepts_by_origin,
     judge_pose,
@@ -19,6 +18,7 @@ from svc_ros.evaluation.metrics import (
     registration_metrics,
     roc_auc,
 )
+from svc_ros.io.datasets import SuccessThresholds
 
 LIMITS = SuccessThresholds(rotation_deg=5.0, translation_m=0.6)
 

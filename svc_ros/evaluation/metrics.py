@@ -10,22 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from svc_ros.core.errors import InputError
 from svc_ros.core.se3 import pose_error
+from svc_ros.io.datasets import SuccessThresholds
 
 Number = float | int | None
 
 _PRECISION_GOAL = 0.99
-
-
-@dataclass(frozen=True)
-class SuccessThresholds:
-    """A pose is right if both of its errors are below these: rotation [deg], translation [m]."""
-
-    rotation_deg: float
-    translation_m: float
-
-    def accepts(self, rotation_error_deg: float, translation_error_m: float) -> bool:
-        """True if a pose with these errors is right."""
-        return rotation_error_deg <= self.rotation_deg and translation_error_m <= self.translation_m
 
 
 @dataclass(frozen=True)
@@ -59,7 +48,8 @@ def judge_pose(
     if T_estimate is None:
         return PairOutcome(accepted, False)
     rotation, translation = pose_error(T_estimate, T_reference)
-    return PairOutcome(accepted, success.accepts(rotation, translation), rotation, translation)
+    correct = rotation <= success.rotation_deg and translation <= success.translation_m
+    return PairOutcome(accepted, correct, rotation, translation)
 
 
 def registration_metrics(outcomes: Sequence[PairOutcome]) -> dict[str, Number]:
