@@ -136,6 +136,9 @@ def test_a_fault_blocks_only_the_frames_that_depend_on_it(tree: TransformTree) -
     with pytest.raises(TransformUnavailableError, match="its rotation is broken"):
         tree.lookup("map", "lidar", START)
     assert np.isfinite(tree.lookup("map", "camera", START)).all()
+    tree.mark_faulty("radar", "transform base -> radar: it holds NaN")  # and nothing else is known of this frame
+    with pytest.raises(TransformUnavailableError, match="it holds NaN"):
+        tree.lookup("map", "radar", START)
 
 
 @pytest.mark.parametrize(

@@ -108,7 +108,7 @@ class TransformTree:
 
         A bag with one broken transform stays usable for the frames that do not depend on it.
         """
-        self._faults.setdefault(normalise_frame(child), cause)
+        self._faults.setdefault(child.strip().lstrip("/"), cause)
 
     def lookup(self, target_frame: str, source_frame: str, stamp_ns: int) -> Array:
         """T_target_source (4, 4) [m] at a stamp, interpolated, through the frames' nearest common ancestor.
@@ -122,6 +122,7 @@ class TransformTree:
         up_target, up_source = self._ancestors(target, question), self._ancestors(source, question)
         common = next((frame for frame in up_target if frame in set(up_source)), None)
         if common is None:
+            self._check_faults([*up_target, *up_source], question)
             raise TransformUnavailableError(
                 f"{question}: the frames are not connected ({target} hangs on {up_target[-1]}, {source} on "
                 f"{up_source[-1]}; frames recorded: {', '.join(self.frames)})"
@@ -135,6 +136,11 @@ class TransformTree:
         if missing and len(set(wanted)) > 1:
             known = ", ".join(frames) or "none"
             raise TransformUnavailableError(f"{question}: no frame {missing[0]!r} (frames recorded: {known})")
+
+    def _check_faults(self, frames: list[str], question: str) -> None:
+        for frame in frames:
+            if frame in self._faults:
+                raise TransformUnavailableError(f"{question}: {self._faults[frame]}")
 
     def _ancestors(self, frame: str, question: str) -> list[str]:
         """The frame, its parent, its grandparent ... up to the root."""
@@ -156,8 +162,7 @@ class TransformTree:
         for child, parent in itertools.pairwise(chain):
             if child == ancestor:
                 break
-            if child in self._faults:
-                raise TransformUnavailableError(f"{question}: {self._faults[child]}")
+            self._check_faults([child], question)
             try:
                 T = self._edges[child][parent].at(stamp_ns, self._max_gap_ns) @ T
             except TransformUnavailableError as error:
