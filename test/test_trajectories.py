@@ -126,6 +126,9 @@ def test_at_outside_the_span_is_an_error_beyond_the_tolerance(trajectory: Trajec
     for stamp in (first - 6, last + 6):
         with pytest.raises(TransformUnavailableError, match=text_from_ns(stamp)):
             trajectory.at(stamp, tolerance_ns=5)
+    np.testing.assert_array_equal(trajectory.at(first - 36), trajectory.poses[0])
+    with pytest.raises(TransformUnavailableError):
+        trajectory.at(last + 1_000_001)
 
 
 def test_a_trajectory_checks_its_stamps_and_shapes() -> None:

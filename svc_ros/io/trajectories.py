@@ -18,6 +18,7 @@ from svc_ros.core.se3 import Array, check_pose, make_pose, nearest_pose
 from svc_ros.io.stamps import ns_from_text, text_from_ns
 from svc_ros.io.transforms import interpolate_poses
 
+_SPAN_TOLERANCE_NS = 1_000_000  # recorders that pass a stamp through float64 seconds move it by up to 240 ns
 _UNIT_TOLERANCE = 1e-3  # of a quaternion's length; files print three digits and more
 
 
@@ -40,8 +41,8 @@ class Trajectory:
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
-    def at(self, stamp_ns: int, tolerance_ns: int = 0) -> Array:
-        """Pose (4, 4) at a stamp, interpolated; the first or last pose up to `tolerance_ns` outside the span.
+    def at(self, stamp_ns: int, tolerance_ns: int = _SPAN_TOLERANCE_NS) -> Array:
+        """Pose (4, 4) at a stamp, interpolated; the first or last pose up to `tolerance_ns` (1 ms) outside the span.
 
         Raises TransformUnavailableError naming the stamp and the span.
         """
