@@ -21,7 +21,7 @@ GOOD_KITTI = "1 0 0 4 0 1 0 5 0 0 1 6"
 @pytest.fixture
 def trajectory() -> Trajectory:
     rng = np.random.default_rng(7)
-    poses = make_pose(Rotation.random(20, rng=rng).as_matrix(), rng.normal(size=(20, 3)) * 100)
+    poses = make_pose(Rotation.from_rotvec(rng.normal(size=(20, 3))).as_matrix(), rng.normal(size=(20, 3)) * 100)
     return Trajectory(1_630_577_758_569_489_956 + np.arange(20) * 499_457_121, poses)
 
 

@@ -32,14 +32,18 @@ NODE_KEYS = (
     "preset",
     "mode",
     "max_skew",
-    "use_sim_time",
-    "autostart",
+    "pair_timeout",
     "queue_size",
     "process_every",
-    "publish_tf",
     "sensor_frame",
     "sensor_origin",
+    "tf_timeout",
+    "publish_tf",
+    "tf_child_frame",
+    "autostart",
+    "use_sim_time",
     "qos_overrides",
+    "start_type_description_service",
 )
 
 _HEADER = """\
