@@ -1,0 +1,144 @@
+"""What the node counts about itself, and how that reads as /diagnostics and as ~/status."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+from svc_ros.core.result import Reason, Verdict
+from svc_ros.core.scan import Array
+from svc_ros.ros.worker import Decision
+
+_RATE_WINDOW_S = 10.0
+_STALE_AFTER_S = 5.0
+_REJECTS_IN_A_ROW = 5
+_KEPT_LATENCIES = 200
+_FAULTS = (Reason.INTERNAL_ERROR, Reason.TF_UNAVAILABLE)
+_OK, _WARN, _ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+
+class InputMonitor:
+    """When clouds came on one input; times are of a steady clock [s], so a paused bag is seen as silence."""
+
+    def __init__(self) -> None:
+        self.num_received = 0
+        self._start = time.monotonic()
+        self._times: deque[float] = deque(maxlen=1000)
+
+    def tick(self, now_s: float) -> None:
+        """One cloud came."""
+        self.num_received += 1
+        self._times.append(now_s)
+
+    def rate_hz(self, now_s: float) -> float:
+        """Clouds a second over the last ten seconds."""
+        span = min(_RATE_WINDOW_S, max(now_s - self._start, 1e-3))
+        return sum(t > now_s - span for t in self._times) / span
+
+    def silence_s(self, now_s: float) -> float:
+        """Seconds since the last cloud, or since the start."""
+        return now_s - (self._times[-1] if self._times else self._start)
+
+
+class Statistics:
+    """Counts of everything since the start. The worker writes decisions, callbacks the rest; reads are snapshots."""
+
+    def __init__(self) -> None:
+        self.inputs = {"source": InputMonitor(), "target": InputMonitor()}
+        self.qos_problems: dict[str, str] = {}
+        self.fault = ""
+        self._lock = threading.Lock()
+        self._verdicts: Counter[str] = Counter({verdict.value: 0 for verdict in Verdict})
+        self._reasons: Counter[str] = Counter()
+        self._latencies_ms: deque[float] = deque(maxlen=_KEPT_LATENCIES)
+        self._rejects_in_a_row = 0
+
+    def count(self, decision: Decision) -> None:
+        """Add one decision."""
+        result = decision.result
+        with self._lock:
+            self._verdicts[result.verdict.value] += 1
+            self._reasons[result.reason.value] += 1
+            self.fault = f"{result.reason.value}: {result.detail}" if result.reason in _FAULTS else ""
+            if "latency_ms" in decision.timings_ms:
+                self._latencies_ms.append(decision.timings_ms["latency_ms"])
+            if result.verdict is not Verdict.DROPPED:
+                self._rejects_in_a_row = 0 if result.accepted else self._rejects_in_a_row + 1
+
+    def numbers(self) -> dict[str, Any]:
+        """Verdicts, reasons, latency percentiles and the length of the current run of rejects."""
+        with self._lock:
+            latencies = np.array(self._latencies_ms)
+            return {
+                "decisions": dict(self._verdicts),
+                "reasons": dict(self._reasons),
+                "latency_ms": _percentiles(latencies),
+                "rejects_in_a_row": self._rejects_in_a_row,
+            }
+
+
+def statuses(statistics: Statistics, flow: Mapping[str, Any], process_every: bool) -> list[DiagnosticStatus]:
+    """The statuses of /diagnostics. `flow`: the node's own counters (pairing, queue, ready, enabled)."""
+    now = time.monotonic()
+    numbers = statistics.numbers()
+    return [
+        _input_status(statistics, now),
+        _status("pairing", _OK, "pairs by stamp", flow["pairing"]),
+        _worker_status(flow, numbers, process_every),
+        _decision_status(statistics, numbers),
+    ]
+
+
+def _input_status(statistics: Statistics, now: float) -> DiagnosticStatus:
+    values: dict[str, Any] = {}
+    silent = []
+    for side, monitor in statistics.inputs.items():
+        values |= {f"{side}_received": monitor.num_received, f"{side}_rate_hz": round(monitor.rate_hz(now), 2)}
+        if monitor.silence_s(now) > _STALE_AFTER_S:
+            silent.append(side)
+    values |= {f"qos_{topic}": text for topic, text in statistics.qos_problems.items()}
+    if statistics.qos_problems:
+        return _status("input", _ERROR, "incompatible QoS: " + ", ".join(statistics.qos_problems), values)
+    if silent:
+        return _status("input", _WARN, f"no clouds for {_STALE_AFTER_S:g} s: " + ", ".join(silent), values)
+    return _status("input", _OK, "clouds arrive", values)
+
+
+def _worker_status(flow: Mapping[str, Any], numbers: Mapping[str, Any], process_every: bool) -> DiagnosticStatus:
+    values = {**flow["worker"], **{f"latency_ms_{name}": value for name, value in numbers["latency_ms"].items()}}
+    if not flow["worker"]["ready"]:
+        return _status("worker", _WARN, "warming up", values)
+    if not flow["worker"]["enabled"]:
+        return _status("worker", _WARN, "disabled", values)
+    if process_every and flow["worker"]["queue"] > flow["worker"]["queue_size"]:
+        return _status("worker", _WARN, "pairs come faster than they are registered", values)
+    return _status("worker", _OK, "ready", values)
+
+
+def _decision_status(statistics: Statistics, numbers: Mapping[str, Any]) -> DiagnosticStatus:
+    run = numbers["rejects_in_a_row"]
+    values = {**numbers["decisions"], **{f"reason_{k}": n for k, n in numbers["reasons"].items()}}
+    values["rejects_in_a_row"] = run
+    if statistics.fault:
+        return _status("decisions", _ERROR, statistics.fault, values)
+    if run >= _REJECTS_IN_A_ROW:
+        return _status("decisions", _WARN, f"{run} pairs in a row were not accepted", values)
+    return _status("decisions", _OK, f"{numbers['decisions']['accepted']} accepted", values)
+
+
+def _status(name: str, level: bytes, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:
+    pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+    full_name = f"svc_registration: {name}"
+    return DiagnosticStatus(level=level, name=full_name, message=message, hardware_id="svc_registration", values=pairs)
+
+
+def _percentiles(latencies_ms: Array) -> dict[str, float]:
+    if not len(latencies_ms):
+        return {}
+    return {f"p{q}": round(float(np.percentile(latencies_ms, q)), 1) for q in (50, 95, 99)}

@@ -1,0 +1,99 @@
+"""Every topic that a decision goes out on."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Bool
+
+from svc_ros.core.se3 import apply
+from svc_ros.io.results import decision_values
+from svc_ros.ros.conversions import cloud_message, decision_message, pose_message, transform_message
+from svc_ros.ros.frames import TransformOutput
+from svc_ros.ros.parameters import NodeSettings
+from svc_ros.ros.worker import CloudLabel, Decision
+
+_RELIABLE = QoSProfile(depth=100)
+_CLOUDS = QoSProfile(depth=2)
+_LAST_DECISION = QoSProfile(
+    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+# With depth 1 a decision replaces one that a slow reader has not taken yet: of a burst of 1000 only 660 arrived. So
+# the next one waits until the last is acknowledged, which it is long before in all but bursts, or this time is over.
+_ACKNOWLEDGE = Duration(seconds=0.2)
+
+
+class Outputs:
+    """Publishes decisions; belongs to the worker's thread. Raises MissingDependencyError for /tf without tf2_msgs."""
+
+    def __init__(self, node: Node, settings: NodeSettings) -> None:
+        self._decision = node.create_publisher(DiagnosticArray, "~/decision", _LAST_DECISION)
+        self._rejected = node.create_publisher(Bool, "~/rejected", _RELIABLE)
+        self._transform = node.create_publisher(TransformStamped, "~/transform", _RELIABLE)
+        self._pose = node.create_publisher(PoseWithCovarianceStamped, "~/pose", _RELIABLE)
+        self._aligned = node.create_publisher(PointCloud2, "~/aligned", _CLOUDS)
+        self._blocked = node.create_publisher(PointCloud2, "~/blocked_points", _CLOUDS)
+        self._tf = TransformOutput(node) if settings.publish_tf else None
+
+    def publish(self, decision: Decision, settings: NodeSettings) -> None:
+        """Send everything of one decision; the decision itself goes last, as the sign that the rest is out."""
+        source, target = decision.source, decision.target
+        if decision.result.accepted and source is not None and target is not None:
+            self._publish_pose(decision, source, target, settings)
+        self._publish_clouds(decision)
+        self._rejected.publish(Bool(data=not decision.result.accepted))
+        self._publish_decision(decision)
+
+    def _publish_pose(self, decision: Decision, source: CloudLabel, target: CloudLabel, settings: NodeSettings) -> None:
+        T = decision.result.T_target_source
+        assert T is not None
+        message = transform_message(T, source.stamp_ns, target.frame_id, source.frame_id)
+        self._transform.publish(message)
+        self._pose.publish(pose_message(decision.result, source.stamp_ns, target.frame_id))
+        if self._tf is not None:
+            self._tf.publish(message, settings.tf_child_frame)
+
+    def _publish_decision(self, decision: Decision) -> None:
+        # A cloud without a partner: the message carries the stamp of the one there is.
+        source, target = decision.source or decision.target, decision.target or decision.source
+        stamp_ns, frame_id = (source.stamp_ns, target.frame_id) if source and target else (0, "")
+        message = decision_message(decision.result, _values(decision), stamp_ns, frame_id)
+        if self._decision.get_subscription_count():
+            self._decision.wait_for_all_acked(_ACKNOWLEDGE)
+        self._decision.publish(message)
+
+    def _publish_clouds(self, decision: Decision) -> None:
+        """Clouds to look at, in the target's frame, only for those who look."""
+        source, target = decision.source_work, decision.target_work
+        T = decision.result.best_candidate
+        if source is None or target is None or T is None or decision.source is None or decision.target is None:
+            return
+        stamp_ns, frame_id = decision.source.stamp_ns, decision.target.frame_id
+        if decision.result.accepted and self._aligned.get_subscription_count():
+            self._aligned.publish(cloud_message(apply(T, source.scan.points), stamp_ns, frame_id))
+        if decision.result.evidence is not None and self._blocked.get_subscription_count():
+            near = target.features.keypoints[decision.result.evidence.source_in_target.blocked_idx]
+            far = source.features.keypoints[decision.result.evidence.target_in_source.blocked_idx]
+            points = np.concatenate([near, apply(T, far)])
+            from_source = np.repeat([0.0, 1.0], [len(near), len(far)])
+            self._blocked.publish(cloud_message(points, stamp_ns, frame_id, {"from_source": from_source}))
+
+
+def _values(decision: Decision) -> dict[str, str]:
+    """All that is known of a decision as flat text; the stamp and frame of a cloud that never came are empty."""
+    result, source, target = decision.result, decision.source, decision.target
+    values = decision_values(result, source.stamp_ns if source else 0, target.stamp_ns if target else 0)
+    for side, label in (("source", source), ("target", target)):
+        values[f"{side}_frame"] = label.frame_id if label else ""
+        if label is None:
+            values[f"{side}_stamp"] = ""
+    for name, T in (("T_target_source", result.T_target_source), ("best_candidate", result.best_candidate)):
+        values[name] = "" if T is None else json.dumps(T.tolist())
+    return values | {name: f"{value:.1f}" for name, value in decision.timings_ms.items()}

@@ -1,0 +1,170 @@
+"""The node's parameters: the config's own fields, found by walking it, and the few that only a node has.
+
+`preset` is read first; its values are the defaults of all others. A change is checked as a whole configuration before
+it is taken, and applies to the next pair.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import sys
+from dataclasses import dataclass
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from svc_ros.core.config import PRESETS, Config, FieldInfo, preset, unknown_name, walk, with_values
+from svc_ros.core.errors import ConfigError
+
+MODES = ("pair",)
+_LATER_MODES = ("scan_matching", "loop_closure")
+_FOREIGN = ("use_sim_time", "qos_overrides.", "start_type_description_service")  # declared by rclpy itself
+_LARGEST_INT = 2**63 - 1
+
+
+@dataclass(frozen=True)
+class NodeSettings:
+    """What the node needs beside the registration's config; units are in the names or in `OWN`."""
+
+    mode: str = "pair"
+    max_skew: float = 0.05
+    pair_timeout: float = 2.0
+    queue_size: int = 1
+    process_every: bool = False
+    sensor_frame: str = ""
+    sensor_origin: tuple[float, ...] = (0.0, 0.0, 0.0)
+    tf_timeout: float = 0.2
+    publish_tf: bool = False
+    tf_child_frame: str = ""
+
+    def __post_init__(self) -> None:
+        if self.mode in _LATER_MODES:
+            raise ConfigError(f"mode: {self.mode!r} is not available in this version (available: {', '.join(MODES)})")
+        if self.mode not in MODES:
+            raise ConfigError(unknown_name("mode", self.mode, MODES))
+        if len(self.sensor_origin) != 3:
+            raise ConfigError(f"sensor_origin: expected 3 numbers [m], found {len(self.sensor_origin)}")
+        if self.sensor_frame and any(self.sensor_origin):
+            raise ConfigError("sensor_frame and sensor_origin exclude each other: set one of them")
+
+    @property
+    def max_skew_ns(self) -> int:
+        """Largest difference of the stamps of a pair [ns]."""
+        return round(self.max_skew * 1e9)
+
+
+def _own(name: str, text: str, unit: str = "", low: float | None = None, high: float | None = None,
+         choices: tuple[str, ...] = ()) -> FieldInfo:  # fmt: skip
+    default = next(f.default for f in dataclasses.fields(NodeSettings) if f.name == name)
+    return FieldInfo(name, default, text, unit, low, high, choices)  # type: ignore[arg-type]
+
+
+OWN: tuple[FieldInfo, ...] = (
+    _own("mode", "what the node does with its inputs", choices=MODES),
+    _own("max_skew", "largest difference of the stamps of a pair", "s", 0.0, 10.0),
+    _own("pair_timeout", "clouds without a partner are given up after this much silence; 0: never", "s", 0.0, 3600.0),
+    _own("queue_size", "pairs that may wait; the oldest gives way to the newest", "", 1, 10_000),
+    _own("process_every", "register every pair, however long the queue grows (replay)"),
+    _own("sensor_frame", "frame of the sensor, where clouds are in another; '': the cloud's own frame"),
+    _own("sensor_origin", "where the sensor stands in the cloud's frame, if no TF says it", "m"),
+    _own("tf_timeout", "how long to wait for the transform of sensor_frame", "s", 0.0, 60.0),
+    _own("publish_tf", "publish accepted transforms on /tf too"),
+    _own("tf_child_frame", "child frame on /tf; '': the source cloud's frame"),
+)
+_READ_ONLY = ("preset", "mode", "publish_tf")
+
+
+class NodeParameters:
+    """Declares every parameter of `node` and keeps `config` and `settings` up to date.
+
+    Raises ConfigError on values that are refused at start. `config` and `settings` are frozen and replaced as a
+    whole, so another thread may read them at any time.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self.preset_name = self._declare(
+            FieldInfo("preset", "lidar_outdoor", "defaults of all other values", "", None, None, tuple(PRESETS))
+        )
+        base = preset(self.preset_name)
+        self.config: Config = with_values(base, {info.name: self._declare(info) for info in walk(base)})
+        self.settings = _settings(NodeSettings(), {info.name: self._declare(info) for info in OWN})
+        self._known = [info.name for info in walk(base)] + [info.name for info in OWN] + ["preset"]
+        self._num_config = len(list(walk(base)))
+        node.add_on_set_parameters_callback(self._check_change)
+        node.add_post_set_parameters_callback(self._apply_change)
+
+    def unknown_overrides(self) -> list[str]:
+        """One line for each parameter that was given from outside and that the node does not have."""
+        given = getattr(self._node, "_parameter_overrides", {})
+        foreign = [n for n in given if n not in self._known and not n.startswith(_FOREIGN)]
+        return [_unknown_parameter(name, self._known) for name in foreign]
+
+    def _declare(self, info: FieldInfo) -> Any:
+        """Declare one parameter and return its value: the default, or what the user gave."""
+        default = list(info.default) if isinstance(info.default, tuple) else info.default
+        try:
+            return self._node.declare_parameter(info.name, default, _descriptor(info)).value
+        except InvalidParameterTypeException as error:
+            raise ConfigError(_type_text(info, error)) from None
+        except InvalidParameterValueException as error:
+            raise ConfigError(f"parameter {info.name}: {error}") from None
+
+    def _changed(self, parameters: list[Parameter]) -> tuple[Config, NodeSettings]:
+        values = {p.name: p.value for p in parameters if p.name in self._known}
+        own = {info.name for info in OWN}
+        config = with_values(self.config, {name: v for name, v in values.items() if name not in own})
+        return config, _settings(self.settings, {name: v for name, v in values.items() if name in own})
+
+    def _check_change(self, parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            self._changed(parameters)
+        except ConfigError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _apply_change(self, parameters: list[Parameter]) -> None:
+        self.config, self.settings = self._changed(parameters)
+
+
+def _settings(base: NodeSettings, values: dict[str, Any]) -> NodeSettings:
+    plain: dict[str, Any] = {name: tuple(v) if name == "sensor_origin" else v for name, v in values.items()}
+    return dataclasses.replace(base, **plain)
+
+
+def _descriptor(info: FieldInfo) -> ParameterDescriptor:
+    text = f"{info.description} [{info.unit}]" if info.unit else info.description
+    constraints = f"one of: {', '.join(info.choices)}" if info.choices else ""
+    descriptor = ParameterDescriptor(
+        name=info.name, description=text, additional_constraints=constraints, read_only=info.name in _READ_ONLY
+    )
+    if isinstance(info.default, bool) or (info.low is None and info.high is None):
+        return descriptor
+    if isinstance(info.default, int):
+        low, high = _bounds(info, -_LARGEST_INT, _LARGEST_INT)
+        descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=0)]
+    else:
+        low, high = _bounds(info, -sys.float_info.max, sys.float_info.max)
+        descriptor.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high), step=0.0)]
+    return descriptor
+
+
+def _bounds(info: FieldInfo, lowest: float, highest: float) -> tuple[float, float]:
+    return (lowest if info.low is None else info.low), (highest if info.high is None else info.high)
+
+
+def _type_text(info: FieldInfo, error: Exception) -> str:
+    """What was expected of a parameter; a whole number where a double belongs is by far the most frequent slip."""
+    kind = "list of doubles" if isinstance(info.default, tuple) else type(info.default).__name__
+    if isinstance(info.default, (float, tuple)):
+        return f"parameter {info.name}: expected a {kind}; a whole number needs its point (write 1.0, not 1): {error}"
+    return f"parameter {info.name}: expected a {kind}: {error}"
+
+
+def _unknown_parameter(name: str, known: list[str]) -> str:
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    return f"parameter {name} does not exist" + (f"; did you mean {near[0]}?" if near else "")

@@ -1,0 +1,79 @@
+"""Programs of this package as child processes on a middleware domain of their own."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import IO
+
+_DOMAINS = 101  # higher numbers collide with the ports that Linux gives out
+
+
+def own_domain_id(salt: int = 0) -> int:
+    """A ROS_DOMAIN_ID that other runs on this machine are unlikely to have."""
+    return 1 + (os.getpid() * 7 + salt) % _DOMAINS
+
+
+def local_environment(domain_id: int) -> dict[str, str]:
+    """This process's environment, on `domain_id` and with discovery that stays on this machine."""
+    return {**os.environ, "ROS_DOMAIN_ID": str(domain_id), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+
+
+class ChildProcess:
+    """`python -m MODULE ARGS` in a process group of its own; leaving the context ends it, whatever happened.
+
+    Its output, both streams, goes to the file `log`.
+    """
+
+    def __init__(self, module: str, args: list[str], environment: dict[str, str], log: Path) -> None:
+        self.log = log
+        self._command = [sys.executable, "-m", module, *args]
+        self._environment = environment
+        self._file: IO[bytes] | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def __enter__(self) -> ChildProcess:
+        self._file = self.log.open("wb")
+        self._process = subprocess.Popen(
+            self._command, env=self._environment, stdout=self._file, stderr=subprocess.STDOUT, start_new_session=True
+        )
+        return self
+
+    def __exit__(self, *_exception: object) -> None:
+        self.stop()
+        if self._file is not None:
+            self._file.close()
+
+    @property
+    def exit_code(self) -> int | None:
+        """Exit code, None while it runs."""
+        return None if self._process is None else self._process.poll()
+
+    def interrupt(self, signum: int = signal.SIGINT) -> None:
+        """Send a signal; Ctrl-C unless told otherwise."""
+        if self._process is not None and self._process.poll() is None:
+            self._process.send_signal(signum)
+
+    def wait(self, timeout_s: float) -> int | None:
+        """Wait for its end; None if it still runs then."""
+        if self._process is None:
+            return None
+        try:
+            return self._process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            return None
+
+    def stop(self, timeout_s: float = 3.0) -> int | None:
+        """Ask it to end, and end it if it does not; returns the exit code."""
+        self.interrupt()
+        if self.wait(timeout_s) is None and self._process is not None:
+            self._process.kill()
+            self._process.wait()
+        return self.exit_code
+
+    def output(self) -> str:
+        """What it has said so far."""
+        return self.log.read_text("utf-8", "replace")

@@ -1,0 +1,222 @@
+"""The node over the real middleware, in a second process: what goes in, what comes out, and how it ends."""
+
+from __future__ import annotations
+
+import json
+import signal
+import time
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
+
+from mini_data import POSES, pose_between, scan_room  # noqa: E402
+from rcl_interfaces.srv import SetParameters  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from ros_bench import Bench, cloud, matrix  # noqa: E402
+from std_srvs.srv import SetBool, Trigger  # noqa: E402
+
+from svc_ros.core.se3 import pose_error  # noqa: E402
+from svc_ros.ros.collector import spin_until  # noqa: E402
+from svc_ros.ros.processes import ChildProcess, local_environment, own_domain_id  # noqa: E402
+
+pytestmark = pytest.mark.dds
+
+SCANS = [scan_room(T, seed=k) for k, T in enumerate(POSES)]
+
+
+@pytest.fixture(autouse=True)
+def _local_discovery(monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        folder = tmp_path_factory.mktemp("node")
+        parameters = {"preset": "lidar_indoor", "process_every": "true", "pair_timeout": "1.0"}
+        with Bench(folder, own_domain_id(1), parameters) as bench:
+            yield bench
+
+
+def call(bench, service_type, name, request):
+    client = bench.node.create_client(service_type, f"/svc_registration/{name}")
+    assert client.wait_for_service(timeout_sec=10.0)
+    future = client.call_async(request)
+    assert spin_until(bench.executor, future.done, 10.0)
+    return future.result()
+
+
+def status(bench):
+    return json.loads(call(bench, Trigger, "status", Trigger.Request()).message)
+
+
+def test_pair_of_one_room_is_accepted_with_transform_and_pose(bench):
+    num_transforms = len(bench.answers.transforms)
+    decision = bench.decide(cloud(SCANS[1], 1.0, "scan_1"), cloud(SCANS[0], 1.0, "scan_0"))
+    assert (decision["verdict"], decision["reason"]) == ("accepted", "ok")
+    assert decision["source_stamp"] == decision["target_stamp"] == "1.000000000"
+    bench.settle()
+    (transform,) = bench.answers.transforms[num_transforms:]
+    assert (transform.header.frame_id, transform.child_frame_id, transform.header.stamp.sec) == ("scan_0", "scan_1", 1)
+    rotation_deg, translation_m = pose_error(matrix(transform), pose_between(1, 0))
+    assert rotation_deg < 1.0
+    assert translation_m < 0.1
+    pose = bench.answers.poses[-1]
+    assert pose.header.frame_id == "scan_0"
+    assert pose.pose.pose.position.x == transform.transform.translation.x
+    assert (np.diag(pose.pose.covariance.reshape(6, 6)) > 0).all()
+    assert bench.answers.rejected[-1] is False
+
+
+@pytest.mark.parametrize(
+    ("stamp", "points", "reason"),
+    [
+        (10.0, np.full((500, 3), np.nan), "too_few_points"),
+        (11.0, np.empty((0, 3)), "too_few_points"),
+        (12.0, np.ones((50, 3)), "too_few_points"),
+    ],
+)
+def test_cloud_without_usable_points_is_rejected_and_the_side_is_named(bench, stamp, points, reason):
+    decision = bench.decide(cloud(points, stamp), cloud(SCANS[0], stamp))
+    assert (decision["verdict"], decision["reason"]) == ("rejected", reason)
+    assert decision["detail"].startswith("source: ")
+
+
+def test_cloud_with_wrong_fields_is_rejected_by_name(bench):
+    broken = cloud(SCANS[0], 20.0)
+    broken.fields[1].name = "height"
+    decision = bench.decide(cloud(SCANS[1], 20.0), broken)
+    assert (decision["verdict"], decision["reason"]) == ("rejected", "unsupported_cloud")
+    assert decision["detail"].startswith("target: ")
+    assert "'y'" in decision["detail"]
+
+
+def test_good_pair_after_bad_ones_is_registered(bench):
+    bench.decide(cloud(np.empty((0, 3)), 30.0), cloud(np.empty((0, 3)), 30.0))
+    assert bench.decide(cloud(SCANS[1], 31.0), cloud(SCANS[0], 31.0))["verdict"] == "accepted"
+
+
+def test_clouds_without_a_partner_are_dropped_with_a_decision_each(bench):
+    before = len(bench.answers.decisions)
+    bench.player.publish(cloud(SCANS[1], 40.0), cloud(SCANS[0], 40.2))
+    assert bench.collector.wait_for_decisions(before + 2, 10.0)
+    bench.settle()
+    dropped = bench.answers.decisions[before:]
+    assert {(d["verdict"], d["reason"], d["source_stamp"], d["target_stamp"]) for d in dropped} == {
+        ("dropped", "time_skew", "40.000000000", ""),
+        ("dropped", "time_skew", "", "40.200000000"),
+    }
+    assert len(dropped) == 2
+
+
+def test_pair_within_the_skew_is_matched_when_the_streams_fall_silent(bench):
+    decision = bench.decide(cloud(SCANS[1], 50.0), cloud(SCANS[0], 50.03))
+    assert decision["target_stamp"] == "50.030000000"
+
+
+def test_bag_that_starts_again_is_registered_again(bench):
+    assert bench.decide(cloud(SCANS[1], 60.0), cloud(SCANS[0], 60.0))["verdict"] == "accepted"
+    before = len(bench.answers.decisions)
+    bench.player.publish(cloud(SCANS[1], 1.0), cloud(SCANS[0], 1.0))
+    assert bench.collector.wait_for_decisions(before + 1, 30.0)
+    assert bench.answers.decisions[-1]["verdict"] == "accepted"
+
+
+def test_cloud_that_comes_again_is_not_described_again(bench):
+    bench.decide(cloud(SCANS[1], 70.0), cloud(SCANS[0], 70.0))
+    before = status(bench)["worker"]["features_reused"]
+    bench.decide(cloud(SCANS[2], 71.0), cloud(SCANS[1], 71.0))
+    assert status(bench)["worker"]["features_reused"] == before + 1
+
+
+def test_every_pair_has_one_decision_and_only_accepted_ones_a_transform(bench):
+    bench.settle()
+    counts, decisions = status(bench), bench.answers.decisions
+    verdicts = [d["verdict"] for d in decisions]
+    assert counts["pairing"]["matched"] + counts["pairing"]["unmatched"] == len(decisions) == len(bench.answers.rejected)
+    assert counts["decisions"] == {v: verdicts.count(v) for v in ("accepted", "rejected", "undecided", "dropped")}
+    assert len(bench.answers.transforms) == len(bench.answers.poses) == verdicts.count("accepted")
+    assert bench.answers.rejected.count(False) == verdicts.count("accepted")
+
+
+def test_parameter_outside_its_range_or_combination_is_refused_by_name(bench):
+    def refused(name, value):
+        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+        (result,) = call(bench, SetParameters, "set_parameters", request).results
+        assert not result.successful
+        return result.reason
+
+    assert "preprocess.voxel_size_m" in refused("preprocess.voxel_size_m", -1.0)
+    assert "min_range_m" in refused("preprocess.min_range_m", 900.0)
+    assert "did you mean 'svc_paper'" in refused("method", "svc_papr")
+    assert "preset" in refused("preset", "lidar_outdoor")
+
+
+def test_parameter_change_applies_to_the_next_pair(bench):
+    def set_method(value):
+        request = SetParameters.Request(parameters=[Parameter("method", value=value).to_parameter_msg()])
+        (result,) = call(bench, SetParameters, "set_parameters", request).results
+        assert result.successful, result.reason
+
+    set_method("sc2")
+    try:
+        decision = bench.decide(cloud(SCANS[1], 80.0), cloud(SCANS[0], 80.0))
+    finally:
+        set_method("svc")
+    assert decision["method"] == "sc2"
+
+
+def test_disabled_node_drops_as_inactive(bench):
+    assert call(bench, SetBool, "enable", SetBool.Request(data=False)).success
+    decision = bench.decide(cloud(SCANS[1], 90.0), cloud(SCANS[0], 90.0))
+    assert (decision["verdict"], decision["reason"]) == ("dropped", "inactive")
+    assert call(bench, SetBool, "enable", SetBool.Request(data=True)).success
+    assert bench.decide(cloud(SCANS[1], 91.0), cloud(SCANS[0], 91.0))["verdict"] == "accepted"
+
+
+def test_reset_gives_up_what_waits(bench):
+    before = len(bench.answers.decisions)
+    bench.player.publish(cloud(SCANS[1], 100.0), cloud(SCANS[0], 101.0))
+    bench.settle(0.2)
+    assert call(bench, Trigger, "reset", Trigger.Request()).success
+    assert bench.collector.wait_for_decisions(before + 2, 10.0)
+    assert {d["verdict"] for d in bench.answers.decisions[before:]} == {"dropped"}
+
+
+@pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("moment", ["warming up", "ready:"])
+def test_node_ends_with_exit_code_0_within_two_seconds(tmp_path, signum, moment):
+    environment = local_environment(own_domain_id(2))
+    with ChildProcess("svc_ros.ros.node", [], environment, tmp_path / "log") as node:
+        end = time.monotonic() + 60
+        while moment not in node.output() and time.monotonic() < end:
+            time.sleep(0.05)
+        start = time.monotonic()
+        node.interrupt(signum)
+        assert node.wait(5.0) == 0, node.output()
+        assert time.monotonic() - start < 2.0
+        assert "Traceback" not in node.output()
+
+
+@pytest.mark.parametrize(
+    ("parameter", "text"),
+    [
+        ("preset:=lidar_outdor", "did you mean 'lidar_outdoor'"),
+        ("mode:=scan_matching", "'scan_matching' is not available in this version"),
+        ("preprocess.voxel_size_m:=1", "write 1.0"),
+        ("queue_size:=0", "queue_size"),
+        ("sensor_origin:=[0.0, 1.0]", "sensor_origin: expected 3 numbers"),
+        ("method:=5", "method: expected a str"),
+    ],
+)
+def test_refused_parameter_at_start_is_one_line_and_exit_code_2(tmp_path, parameter, text):
+    environment = local_environment(own_domain_id(3))
+    with ChildProcess("svc_ros.ros.node", ["--ros-args", "-p", parameter], environment, tmp_path / "log") as node:
+        assert node.wait(20.0) == 2
+        lines = [line for line in node.output().splitlines() if line.startswith("registration_node: ")]
+        assert len(lines) == 1
+        assert text in lines[0]
+        assert "Traceback" not in node.output()

@@ -1,0 +1,85 @@
+"""Real scans over the real middleware, to the node in a second process."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
+
+from ros_bench import SECOND, Bench, cloud, matrix  # noqa: E402
+
+from svc_ros.core.se3 import pose_error  # noqa: E402
+from svc_ros.io.datasets import read_dataset  # noqa: E402
+from svc_ros.ros.processes import own_domain_id  # noqa: E402
+
+pytestmark = pytest.mark.dds
+
+NUM_PAIRS, NUM_NEGATIVES = 3, 2
+
+
+@dataclass(frozen=True)
+class Case:
+    """A pair of real scans; T_target_source is None for scans of different places."""
+
+    source: np.ndarray
+    target: np.ndarray
+    T_target_source: np.ndarray | None
+
+
+def read_cases(shared_data) -> list[Case]:
+    same, other = (read_dataset(shared_data / "pairs" / name) for name in ("hdl64_kitti_a", "hdl64_kitti_negatives"))
+    pairs = sorted(same.pairs, key=lambda p: -p.overlap)[:NUM_PAIRS]
+    cases = [(same, p, p.T_target_source) for p in pairs]
+    cases += [(other, p, None) for p in other.negatives[:NUM_NEGATIVES]]
+    return [Case(d.read_scan(p.source).points, d.read_scan(p.target).points, T) for d, p, T in cases]
+
+
+@pytest.fixture
+def bench(tmp_path, monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with Bench(tmp_path, own_domain_id(4), {"preset": "lidar_outdoor", "process_every": "true"}) as bench:
+        yield bench
+
+
+def test_plays_real_scans_and_gets_one_decision_a_pair(shared_data, bench):
+    cases = read_cases(shared_data)
+    for k, case in enumerate(cases, 1):  # all at once: the node's queue is tested too
+        bench.player.publish(cloud(case.source, k), cloud(case.target, k))
+        bench.settle(0.05)
+    assert bench.collector.wait_for_decisions(len(cases), 120.0), bench.process.output()
+    bench.settle()
+
+    decisions = {round(float(d["source_stamp"])): d for d in bench.answers.decisions}
+    assert len(bench.answers.decisions) == len(cases)
+    assert sorted(decisions) == list(range(1, len(cases) + 1))
+    accepted = {k for k, d in decisions.items() if d["verdict"] == "accepted"}
+    negatives = {k for k, case in enumerate(cases, 1) if case.T_target_source is None}
+    assert not accepted & negatives, decisions
+    assert len(accepted) >= NUM_PAIRS - 1, decisions
+
+    transforms = {round(t.header.stamp.sec + t.header.stamp.nanosec / SECOND): t for t in bench.answers.transforms}
+    assert sorted(transforms) == sorted(accepted)
+    assert len(bench.answers.transforms) == len(bench.answers.poses) == len(accepted)
+    for k in accepted:
+        rotation_deg, translation_m = pose_error(matrix(transforms[k]), cases[k - 1].T_target_source)
+        assert rotation_deg < 5.0
+        assert translation_m < 0.6
+
+    # rejected comes in the order of the decisions, which is the order of the pairs
+    assert bench.answers.rejected == [k not in accepted for k in decisions]
+    assert all(bench.answers.rejected[k - 1] for k in negatives)
+
+
+def test_ctrl_c_in_the_middle_of_a_pair_ends_the_node(shared_data, bench):
+    case = read_cases(shared_data)[0]
+    for stamp in (1, 2, 3):
+        bench.player.publish(cloud(case.source + stamp, stamp), cloud(case.target + stamp, stamp))
+    bench.settle(0.6)
+    start = time.monotonic()
+    bench.process.interrupt()
+    assert bench.process.wait(10.0) == 0, bench.process.output()
+    assert time.monotonic() - start < 2.0
