@@ -80,12 +80,12 @@ def test_a_transform_never_joins_a_frame_to_itself(
     assert (transform.header.frame_id, transform.child_frame_id) == expected
 
 
-def test_no_covariance_is_ever_made_up(tmp_path: Path) -> None:
+def test_a_pose_without_covariance_is_never_taken_for_certain(tmp_path: Path) -> None:
     with ResultWriter(tmp_path / "results.mcap") as writer:
         writer.write(result(covariance=False), START + S, START)
-    found = messages_of(tmp_path / "results.mcap")
-    assert "/svc_registration/transform" in found
-    assert "/svc_registration/pose" not in found
+    ((_, pose),) = messages_of(tmp_path / "results.mcap")["/svc_registration/pose"]
+    sigma = np.sqrt(pose.pose.covariance.reshape(6, 6).diagonal())
+    np.testing.assert_allclose(sigma, [1.0, 1.0, 1.0, *np.radians([10.0, 10.0, 10.0])])
 
 
 def test_results_open_in_other_programs(tmp_path: Path) -> None:

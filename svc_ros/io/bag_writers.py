@@ -29,6 +29,8 @@ RESULT_TOPICS = {
     "rejected": "std_msgs/msg/Bool",
     "decision": "diagnostic_msgs/msg/DiagnosticArray",
 }
+# Of an accepted pose whose method gives none, as the node has it: 1 m and 10 deg, so that nobody takes it for certain.
+UNKNOWN_COVARIANCE = np.diag([1.0, 1.0, 1.0, *[np.radians(10.0) ** 2] * 3])
 _MAX_STAMP_NS = 2**31 * 1_000_000_000  # builtin_interfaces/Time counts seconds in 32 bits
 
 
@@ -36,7 +38,7 @@ class ResultWriter:
     """Decisions as one MCAP file with the topics of the node, `/svc_registration/...`:
 
     transform (TransformStamped, accepted only; header.frame_id = target's frame, child_frame_id = source's),
-    pose (PoseWithCovarianceStamped, accepted with a covariance only), rejected (Bool) and decision (DiagnosticArray,
+    pose (PoseWithCovarianceStamped, accepted only; UNKNOWN_COVARIANCE where the method gives none), rejected (Bool) and decision (DiagnosticArray,
     level OK if accepted, else WARN) for every pair. Scans of one sensor share one frame: the child is then named
     `FRAME/source`, because a frame cannot be its own parent; a scan without a frame is called `target` or `source`.
 
@@ -74,8 +76,8 @@ class ResultWriter:
         header, bag = self._bag.header(stamp, parent), self._bag
         if result.T_target_source is not None:
             self._put("transform", stamp, bag.transform(header, child, result.T_target_source))
-            if result.covariance is not None:
-                self._put("pose", stamp, bag.pose(header, result.T_target_source, result.covariance))
+            covariance = UNKNOWN_COVARIANCE if result.covariance is None else result.covariance
+            self._put("pose", stamp, bag.pose(header, result.T_target_source, covariance))
         self._put("rejected", stamp, bag.make(RESULT_TOPICS["rejected"], data=not result.accepted))
         values = decision_values(result, source_stamp_ns, target_stamp_ns)
         message = f"{result.verdict.value}: {result.reason.value}"
