@@ -38,9 +38,10 @@ class ResultWriter:
     """Decisions as one MCAP file with the topics of the node, `/svc_registration/...`:
 
     transform (TransformStamped, accepted only; header.frame_id = target's frame, child_frame_id = source's),
-    pose (PoseWithCovarianceStamped, accepted only; UNKNOWN_COVARIANCE where the method gives none), rejected (Bool) and decision (DiagnosticArray,
-    level OK if accepted, else WARN) for every pair. Scans of one sensor share one frame: the child is then named
-    `FRAME/source`, because a frame cannot be its own parent; a scan without a frame is called `target` or `source`.
+    pose (PoseWithCovarianceStamped, accepted only; UNKNOWN_COVARIANCE where the method gives none), rejected (Bool)
+    and decision (DiagnosticArray, level OK if accepted, else WARN) for every pair. Scans of one sensor share one
+    frame: the child is then named `FRAME/source`, because a frame cannot be its own parent; a scan without a frame is
+    called `target` or `source`.
 
     The file appears when the writer is closed, also after an error, and replaces an older one.
     """
