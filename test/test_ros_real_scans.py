@@ -10,11 +10,11 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
 
-from ros_bench import SECOND, Bench, cloud, matrix  # noqa: E402
+from ros_bench import SECOND, Bench, cloud, matrix
 
-from svc_ros.core.se3 import pose_error  # noqa: E402
-from svc_ros.io.datasets import read_dataset  # noqa: E402
-from svc_ros.ros.processes import own_domain_id  # noqa: E402
+from svc_ros.core.se3 import pose_error
+from svc_ros.io.datasets import read_dataset
+from svc_ros.ros.processes import own_domain_id
 
 pytestmark = pytest.mark.dds
 

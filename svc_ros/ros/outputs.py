@@ -18,7 +18,8 @@ from svc_ros.io.results import decision_values
 from svc_ros.ros.conversions import cloud_message, decision_message, pose_message, transform_message
 from svc_ros.ros.frames import TransformOutput
 from svc_ros.ros.parameters import NodeSettings
-from svc_ros.ros.worker import CloudLabel, Decision
+from svc_ros.ros.registrar import Decision
+from svc_ros.ros.worker import CloudLabel
 
 _RELIABLE = QoSProfile(depth=100)
 _CLOUDS = QoSProfile(depth=2)

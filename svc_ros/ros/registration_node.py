@@ -29,7 +29,8 @@ from svc_ros.ros.diagnostics import Statistics, statuses
 from svc_ros.ros.frames import SensorOrigins
 from svc_ros.ros.outputs import Outputs
 from svc_ros.ros.parameters import NodeParameters
-from svc_ros.ros.worker import Cloud, DropJob, Job, PairJob, PairRegistrar, Worker, warm_up
+from svc_ros.ros.registrar import PairRegistrar, warm_up
+from svc_ros.ros.worker import Cloud, DropJob, Job, PairJob, Worker
 
 NODE_NAME = "svc_registration"
 _KEPT_GUESSES = 16

@@ -1,0 +1,124 @@
+"""The node's parameters: the config's fields, found by walking it."""
+
+from __future__ import annotations
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
+
+from rclpy.context import Context  # noqa: E402
+from rclpy.node import Node  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+
+from svc_ros.core.config import Config, preset, walk, with_values  # noqa: E402
+from svc_ros.core.errors import ConfigError  # noqa: E402
+from svc_ros.ros.parameters import OWN, NodeParameters, NodeSettings  # noqa: E402
+from svc_ros.ros.processes import own_domain_id  # noqa: E402
+
+pytestmark = pytest.mark.dds
+
+
+@pytest.fixture
+def make_node(monkeypatch):
+    """make_node(name=value, ...) -> a node that was given these parameters from outside."""
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    context = Context()
+    rclpy.init(context=context, domain_id=own_domain_id(5))
+    nodes = []
+
+    def make(overrides=None):
+        given = [Parameter(name, value=value) for name, value in (overrides or {}).items()]
+        nodes.append(Node("parameters", context=context, parameter_overrides=given))
+        return nodes[-1]
+
+    yield make
+    for node in nodes:
+        node.destroy_node()
+    context.try_shutdown()
+
+
+def test_every_field_of_the_config_is_a_described_parameter(make_node):
+    node = make_node()
+    NodeParameters(node)
+    for info in walk(preset("lidar_outdoor")):
+        assert node.get_parameter(info.name).value == info.default
+        descriptor = node.describe_parameter(info.name)
+        assert descriptor.description.startswith(info.description)
+        assert info.unit in descriptor.description
+        assert all(choice in descriptor.additional_constraints for choice in info.choices)
+
+
+def test_ranges_have_a_step_of_zero(make_node):
+    node = make_node()
+    NodeParameters(node)
+    (voxel,) = node.describe_parameter("preprocess.voxel_size_m").floating_point_range
+    assert (voxel.from_value, voxel.to_value, voxel.step) == (0.005, 10.0, 0.0)
+    (seeds,) = node.describe_parameter("hypotheses.max_seeds").integer_range
+    assert (seeds.from_value, seeds.to_value, seeds.step) == (1, 100_000, 0)
+
+
+@pytest.mark.parametrize("name", ["lidar_outdoor", "lidar_indoor", "rgbd_indoor"])
+def test_preset_sets_the_defaults_of_all_others(make_node, name):
+    parameters = NodeParameters(make_node({"preset": name}))
+    assert parameters.config == preset(name)
+    assert parameters.settings == NodeSettings()
+
+
+def test_given_value_wins_over_the_preset(make_node):
+    parameters = NodeParameters(make_node({"preset": "lidar_indoor", "preprocess.voxel_size_m": 0.4, "max_skew": 0.2}))
+    assert parameters.config == with_values(preset("lidar_indoor"), {"preprocess.voxel_size_m": 0.4})
+    assert parameters.settings.max_skew_ns == 200_000_000
+
+
+@pytest.mark.parametrize(
+    ("overrides", "text"),
+    [
+        ({"preset": "lidar_outdor"}, "did you mean 'lidar_outdoor'"),
+        ({"mode": "loop_closure"}, "'loop_closure' is not available in this version"),
+        ({"mode": "pairs"}, "did you mean 'pair'"),
+        ({"method": "scv"}, "did you mean 'svc'"),
+        ({"preprocess.voxel_size_m": 1}, "preprocess.voxel_size_m: expected a float.*write 1.0"),
+        ({"preprocess.voxel_size_m": 99.0}, "preprocess.voxel_size_m"),
+        ({"preprocess.min_range_m": 500.0}, r"min_range_m \(500.0\) must be below max_range_m"),
+        ({"process_every": "yes"}, "process_every: expected a bool"),
+        ({"sensor_origin": [1.0]}, "sensor_origin: expected 3 numbers"),
+        ({"sensor_frame": "lidar", "sensor_origin": [0.0, 0.0, 1.0]}, "exclude each other"),
+    ],
+)
+def test_refused_values_are_named(make_node, overrides, text):
+    with pytest.raises(ConfigError, match=text):
+        NodeParameters(make_node(overrides))
+
+
+def test_change_is_checked_as_a_whole_and_then_taken(make_node):
+    node = make_node()
+    parameters = NodeParameters(node)
+    together = [Parameter("preprocess.min_range_m", value=90.0), Parameter("preprocess.max_range_m", value=100.0)]
+    refused = node.set_parameters_atomically(together[:1])
+    assert not refused.successful
+    assert "must be below max_range_m" in refused.reason
+    assert parameters.config == Config()
+    assert node.set_parameters_atomically(together).successful
+    assert (parameters.config.preprocess.min_range_m, parameters.config.preprocess.max_range_m) == (90.0, 100.0)
+
+
+def test_frozen_parameters_cannot_be_changed(make_node):
+    node = make_node()
+    NodeParameters(node)
+    for name, value in (("preset", "lidar_indoor"), ("mode", "pair"), ("publish_tf", True)):
+        (result,) = node.set_parameters([Parameter(name, value=value)])
+        assert not result.successful
+        assert name in result.reason
+
+
+def test_misspelt_parameter_is_reported_with_the_nearest_name(make_node):
+    given = {"preprocess.voxel_size": 0.4, "use_sim_time": False, "qos_overrides./x.subscription.depth": 3}
+    parameters = NodeParameters(make_node(given))
+    assert parameters.unknown_overrides() == [
+        "parameter preprocess.voxel_size does not exist; did you mean preprocess.voxel_size_m?"
+    ]
+
+
+def test_own_parameters_and_settings_are_the_same_names():
+    assert {info.name for info in OWN} == set(NodeSettings.__dataclass_fields__)
+    assert not {info.name for info in OWN} & {info.name for info in walk(Config())}
