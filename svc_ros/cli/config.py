@@ -1,0 +1,32 @@
+"""`svc_ros config`: a preset as the YAML that --config and the node read."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from svc_ros.cli.options import DEFAULT_PRESET, ConfigOption, MethodOption, resolve_settings
+from svc_ros.core.config import PRESETS
+
+NameArgument = Annotated[str, typer.Argument(metavar="[PRESET]", help=f"One of {', '.join(PRESETS)}.")]
+OutputOption = Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write to a file, not to stdout.")]
+
+
+def config(
+    preset: NameArgument = DEFAULT_PRESET,
+    method: MethodOption = None,
+    config_file: ConfigOption = None,
+    out: OutputOption = None,
+) -> None:
+    """Print a preset as YAML, with units and ranges: a file to change and to pass as --config."""
+    from svc_ros.io.config_yaml import config_to_yaml
+
+    settings = resolve_settings(preset, method, config_file)
+    text = config_to_yaml(settings.config, settings.preset)
+    if out is None:
+        sys.stdout.write(text)
+    else:
+        out.write_text(text, encoding="utf-8")
