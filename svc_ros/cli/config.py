@@ -11,12 +11,14 @@ import typer
 from svc_ros.cli.options import DEFAULT_PRESET, ConfigOption, MethodOption, resolve_settings
 from svc_ros.core.config import PRESETS
 
-NameArgument = Annotated[str, typer.Argument(metavar="[PRESET]", help=f"One of {', '.join(PRESETS)}.")]
+NameArgument = Annotated[
+    str | None, typer.Argument(metavar="[PRESET]", help=f"One of {', '.join(PRESETS)}; {DEFAULT_PRESET} by default.")
+]
 OutputOption = Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write to a file, not to stdout.")]
 
 
 def config(
-    preset: NameArgument = DEFAULT_PRESET,
+    preset: NameArgument = None,
     method: MethodOption = None,
     config_file: ConfigOption = None,
     out: OutputOption = None,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import signal
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -218,6 +219,7 @@ _worker: _Evaluator | None = None
 
 def _start_worker(dataset: Dataset, config: Config) -> None:
     global _worker
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer, once
     _worker = _Evaluator(dataset, config)
 
 
