@@ -18,7 +18,7 @@ from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.se3 import make_pose
 from svc_ros.io.point_cloud2 import scan_from_cloud
 from svc_ros.ros import conversions
-from svc_ros.ros.frames import SensorOrigins
+from svc_ros.ros.frames import SensorOrigins, TransformOutput
 from svc_ros.ros.parameters import NodeSettings
 
 T = make_pose([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], [1.0, -2.0, 0.5])
@@ -130,3 +130,25 @@ def test_missing_transform_names_both_frames():
     settings = NodeSettings(sensor_frame="lidar")
     with pytest.raises(TransformUnavailableError, match="'lidar' to 'odom' at 1700000000123456789 ns: not in the tree"):
         SensorOrigins(None, settings).lookup(settings, "odom", STAMP)
+
+
+def test_publish_tf_without_tf2_msgs_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "tf2_msgs", None)
+    with pytest.raises(MissingDependencyError, match="ros-jazzy-tf2-msgs"):
+        TransformOutput(None)
+
+
+@pytest.mark.parametrize(
+    ("source_frame", "child_frame", "child"), [("lidar", "", "lidar/source"), ("b", "", "b"), ("lidar", "body", "body")]
+)
+def test_transform_on_tf_never_has_one_frame_twice(monkeypatch, source_frame, child_frame, child):
+    sent = []
+    module = ModuleType("tf2_msgs.msg")
+    module.TFMessage = lambda transforms: transforms
+    monkeypatch.setitem(sys.modules, "tf2_msgs", ModuleType("tf2_msgs"))
+    monkeypatch.setitem(sys.modules, "tf2_msgs.msg", module)
+    node = SimpleNamespace(create_publisher=lambda *_args: SimpleNamespace(publish=sent.extend))
+    TransformOutput(node).publish(conversions.transform_message(T, STAMP, "lidar", source_frame), child_frame)
+    (message,) = sent
+    assert (message.header.frame_id, message.child_frame_id) == ("lidar", child)
+    assert np.allclose(matrix(message), T)

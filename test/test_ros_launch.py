@@ -1,9 +1,11 @@
-"""The launch file: what can be told without `launch`, and a run of it where that is installed."""
+"""Starting without what ROS brings: the launch file without `launch`, the node without rclpy."""
 
 from __future__ import annotations
 
 import ast
 import importlib.util
+import subprocess
+import sys
 
 import pytest
 from conftest import PROJECT_ROOT
@@ -58,3 +60,12 @@ def test_file_describes_a_launch_where_launch_is_installed(arguments):
     spec.loader.exec_module(module)
     description = module.generate_launch_description()
     assert len(description.entities) == len(arguments) + 2
+
+
+def test_missing_rclpy_is_one_line_and_exit_code_2():
+    code = "import sys; sys.modules['rclpy'] = None; from svc_ros.ros.node import main; sys.exit(main([]))"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
+    assert run.returncode == 2
+    (line,) = run.stderr.splitlines()
+    assert "svc_ros[ros]" in line
+    assert "ros-jazzy-rclpy" in line

@@ -11,14 +11,20 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
 
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from geometry_msgs.msg import PoseWithCovarianceStamped  # noqa: E402
 from mini_data import POSES, pose_between, scan_room  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
-from ros_bench import Bench, cloud, matrix  # noqa: E402
+from ros_bench import SECOND, Bench, cloud, matrix  # noqa: E402
+from sensor_msgs.msg import PointCloud2  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 
-from svc_ros.core.se3 import pose_error  # noqa: E402
-from svc_ros.ros.collector import spin_until  # noqa: E402
+from svc_ros.core.result import Reason, RegistrationResult, Verdict  # noqa: E402
+from svc_ros.core.se3 import apply, pose_error  # noqa: E402
+from svc_ros.io.point_cloud2 import scan_from_cloud  # noqa: E402
+from svc_ros.ros.collector import DecisionCollector, spin_until  # noqa: E402
+from svc_ros.ros.conversions import pose_message  # noqa: E402
 from svc_ros.ros.processes import ChildProcess, local_environment, own_domain_id  # noqa: E402
 
 pytestmark = pytest.mark.dds
@@ -132,17 +138,6 @@ def test_cloud_that_comes_again_is_not_described_again(bench):
     assert status(bench)["worker"]["features_reused"] == before + 1
 
 
-def test_every_pair_has_one_decision_and_only_accepted_ones_a_transform(bench):
-    bench.settle()
-    counts, decisions = status(bench), bench.answers.decisions
-    verdicts = [d["verdict"] for d in decisions]
-    assert counts["pairing"]["matched"] + counts["pairing"]["unmatched"] == len(decisions)
-    assert len(bench.answers.rejected) == len(decisions)
-    assert counts["decisions"] == {v: verdicts.count(v) for v in ("accepted", "rejected", "undecided", "dropped")}
-    assert len(bench.answers.transforms) == len(bench.answers.poses) == verdicts.count("accepted")
-    assert bench.answers.rejected.count(False) == verdicts.count("accepted")
-
-
 def test_parameter_outside_its_range_or_combination_is_refused_by_name(bench):
     def refused(name, value):
         request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
@@ -156,18 +151,82 @@ def test_parameter_outside_its_range_or_combination_is_refused_by_name(bench):
     assert "preset" in refused("preset", "lidar_outdoor")
 
 
-def test_parameter_change_applies_to_the_next_pair(bench):
-    def set_method(value):
-        request = SetParameters.Request(parameters=[Parameter("method", value=value).to_parameter_msg()])
-        (result,) = call(bench, SetParameters, "set_parameters", request).results
-        assert result.successful, result.reason
+def set_parameter(bench, name, value):
+    request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+    (result,) = call(bench, SetParameters, "set_parameters", request).results
+    assert result.successful, result.reason
 
-    set_method("sc2")
-    try:
-        decision = bench.decide(cloud(SCANS[1], 80.0), cloud(SCANS[0], 80.0))
-    finally:
-        set_method("svc")
+
+def test_parameter_change_applies_to_the_next_pair(bench):
+    set_parameter(bench, "method", "sc2")
+    decision = bench.decide(cloud(SCANS[1], 80.0), cloud(SCANS[0], 80.0))
+    set_parameter(bench, "method", "svc")
     assert decision["method"] == "sc2"
+
+
+def test_live_node_skips_to_the_newest_pair_and_answers_the_skipped_ones(bench):
+    set_parameter(bench, "process_every", False)
+    before, stamps = len(bench.answers.decisions), [f"{s}.000000000" for s in range(82, 88)]
+    for stamp in range(82, 88):
+        bench.player.publish(cloud(SCANS[1], stamp), cloud(SCANS[0], stamp))
+    assert bench.collector.wait_for_decisions(before + 6, 60.0)
+    set_parameter(bench, "process_every", True)
+    decisions = bench.answers.decisions[before:]
+    assert [d["source_stamp"] for d in decisions] == stamps
+    assert decisions[-1]["verdict"] == "accepted"
+    assert {(d["verdict"], d["reason"]) for d in decisions[1:-1]} == {("dropped", "superseded")}
+
+
+def test_aligned_and_blocked_clouds_are_in_the_target_frame_while_somebody_looks(bench):
+    clouds = {"aligned": [], "blocked_points": []}
+    subscriptions = [
+        bench.node.create_subscription(PointCloud2, f"/svc_registration/{name}", received.append, 10)
+        for name, received in clouds.items()
+    ]
+    bench.settle(0.5)
+    bench.decide(cloud(SCANS[1], 88.0, "moved"), cloud(SCANS[0], 88.0, "fixed"))
+    assert spin_until(bench.executor, lambda: all(clouds.values()), 5.0)
+    for subscription in subscriptions:
+        bench.node.destroy_subscription(subscription)
+    (aligned,), (blocked,) = clouds.values()
+    assert aligned.header.frame_id == blocked.header.frame_id == "fixed"
+    points = scan_from_cloud(aligned).scan.points
+    assert np.abs(points - apply(pose_between(1, 0), SCANS[1])).max() < 0.2
+    assert [f.name for f in blocked.fields] == ["x", "y", "z", "from_source"]
+
+
+def test_good_guess_is_verified_and_spares_the_search(bench):
+    guesses = bench.node.create_publisher(PoseWithCovarianceStamped, "/initial_guess", 10)
+    assert spin_until(bench.executor, guesses.get_subscription_count, 5.0)
+    right = RegistrationResult(Verdict.ACCEPTED, Reason.OK, T_target_source=pose_between(1, 0))
+    guesses.publish(pose_message(right, 89 * SECOND, "lidar"))
+    bench.settle(0.3)
+    decision = bench.decide(cloud(SCANS[1], 89.0), cloud(SCANS[0], 89.0))
+    assert decision["verdict"] == "accepted"
+    assert "counts.hypotheses" not in decision
+
+
+def test_late_subscriber_gets_the_last_decision_only(bench):
+    last = bench.answers.decisions[-1]
+    late = DecisionCollector(bench.node, bench.executor)
+    assert late.wait_for_decisions(1, 5.0)
+    bench.settle()
+    assert late.answers.decisions == [last]
+
+
+def test_diagnostics_tell_rates_queue_latency_and_verdicts(bench):
+    arrays = []
+    subscription = bench.node.create_subscription(DiagnosticArray, "/diagnostics", arrays.append, 10)
+    assert spin_until(bench.executor, lambda: len(arrays) >= 2, 5.0)
+    bench.node.destroy_subscription(subscription)
+    statuses = {s.name: {kv.key: kv.value for kv in s.values} for s in arrays[-1].status}
+    assert {name.removeprefix("svc_registration: ") for name in statuses} == {
+        "input", "pairing", "worker", "decisions"
+    }  # fmt: skip
+    assert float(statuses["svc_registration: worker"]["latency_ms_p95"]) > 0
+    accepted = sum(d["verdict"] == "accepted" for d in bench.answers.decisions)
+    assert int(statuses["svc_registration: decisions"]["accepted"]) == accepted
+    assert int(statuses["svc_registration: input"]["source_received"]) > 5
 
 
 def test_disabled_node_drops_as_inactive(bench):
@@ -185,6 +244,17 @@ def test_reset_gives_up_what_waits(bench):
     assert call(bench, Trigger, "reset", Trigger.Request()).success
     assert bench.collector.wait_for_decisions(before + 2, 10.0)
     assert {d["verdict"] for d in bench.answers.decisions[before:]} == {"dropped"}
+
+
+def test_every_pair_has_one_decision_and_only_accepted_ones_a_transform(bench):
+    bench.settle()
+    counts, decisions = status(bench), bench.answers.decisions
+    verdicts = [d["verdict"] for d in decisions]
+    assert counts["pairing"]["matched"] + counts["pairing"]["unmatched"] == len(decisions)
+    assert len(bench.answers.rejected) == len(decisions)
+    assert counts["decisions"] == {v: verdicts.count(v) for v in ("accepted", "rejected", "undecided", "dropped")}
+    assert len(bench.answers.transforms) == len(bench.answers.poses) == verdicts.count("accepted")
+    assert bench.answers.rejected.count(False) == verdicts.count("accepted")
 
 
 @pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])

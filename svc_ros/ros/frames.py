@@ -13,9 +13,11 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.time import Time
+from std_msgs.msg import Header
 
 from svc_ros.core.errors import MissingDependencyError, TransformUnavailableError
 from svc_ros.core.scan import Array
+from svc_ros.io.bag_writers import distinct_frames
 from svc_ros.ros.parameters import NodeSettings
 
 _NEEDS_TF2 = "sensor_frame needs tf2_ros (apt install ros-jazzy-tf2-ros-py), or set sensor_origin instead"
@@ -59,19 +61,15 @@ class TransformOutput:
             from tf2_msgs.msg import TFMessage
         except ImportError:
             raise MissingDependencyError(_NEEDS_TF2_MSGS) from None
-        self._node, self._message_type = node, TFMessage
+        self._message_type = TFMessage
         self._publisher = node.create_publisher(TFMessage, "/tf", QoSProfile(depth=100))
 
     def publish(self, message: TransformStamped, child_frame: str) -> None:
-        """Send the transform under the child name, if that is not the parent's own name."""
-        child = child_frame or message.child_frame_id
-        parent = message.header.frame_id
-        if child == parent:
-            text = f"not on /tf: parent and child are both {parent!r}; set tf_child_frame"
-            self._node.get_logger().warning(text, throttle_duration_sec=10.0)
-            return
-        renamed = TransformStamped(header=message.header, child_frame_id=child, transform=message.transform)
-        self._publisher.publish(self._message_type(transforms=[renamed]))
+        """Send the transform; scans of one sensor share a frame, so the child is then `child_frame` or FRAME/source."""
+        parent, child = distinct_frames(message.header.frame_id, child_frame or message.child_frame_id)
+        header = Header(stamp=message.header.stamp, frame_id=parent)
+        named = TransformStamped(header=header, child_frame_id=child, transform=message.transform)
+        self._publisher.publish(self._message_type(transforms=[named]))
 
 
 def _tf_buffer(node: Node) -> Any:

@@ -73,7 +73,7 @@ OWN: tuple[FieldInfo, ...] = (
     _own("sensor_origin", "where the sensor stands in the cloud's frame, if no TF says it", "m"),
     _own("tf_timeout", "how long to wait for the transform of sensor_frame", "s", 0.0, 60.0),
     _own("publish_tf", "publish accepted transforms on /tf too"),
-    _own("tf_child_frame", "child frame on /tf; '': the source cloud's frame"),
+    _own("tf_child_frame", "child frame on /tf; '': the source's frame, FRAME/source if that is the target's too"),
 )
 _READ_ONLY = ("preset", "mode", "publish_tf")
 
