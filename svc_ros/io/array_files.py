@@ -70,13 +70,13 @@ def _read_array(stream: IO[bytes], num_bytes: int) -> NDArray[Any]:
 
 
 def _columns_of(array: NDArray[Any]) -> RawPoints:
-    if array.dtype.names is not None:
+    if array.dtype.names is not None and array.ndim == 1:
         names = list(array.dtype.names)
         columns = [array[names[field_index(names, name)]] for name in "xyz"]
     elif array.ndim == 2 and 3 <= array.shape[1] <= _MOST_COLUMNS:
         columns = list(array[:, :3].T)
     else:
         raise UnsupportedCloudError(f"expected shape N x 3 (up to N x {_MOST_COLUMNS}), found {array.shape}")
-    if any(column.dtype.kind not in "iuf" for column in columns):
-        raise UnsupportedCloudError(f"expected real numbers, found type {array.dtype}")
+    if any(column.dtype.kind not in "iuf" or column.size != len(array) for column in columns):
+        raise UnsupportedCloudError(f"expected one real number a coordinate, found type {array.dtype}")
     return RawPoints(columns)
