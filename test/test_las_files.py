@@ -17,6 +17,8 @@ from svc_ros.io.scan_files import read_scan
 
 def las(path: Path, points: Any) -> Path:
     laspy = pytest.importorskip("laspy")
+    if path.suffix == ".laz":
+        pytest.importorskip("lazrs")
     header = laspy.LasHeader(point_format=3, version="1.2")
     header.scales, header.offsets = [0.001] * 3, [100.0, 0.0, -5.0]
     cloud = laspy.LasData(header)
