@@ -83,7 +83,7 @@ class MatchingConfig(_Group):
     """Nearest descriptors become correspondences."""
 
     strategy: str = _value(
-        "one_way", "which nearest neighbours become correspondences", choices=("one_way", "mutual", "ratio")
+        "mutual", "which nearest neighbours become correspondences", choices=("one_way", "mutual", "ratio")
     )
     max_correspondences: int = _value(5000, "the best by distance (ratio: by ratio) are kept", "", 3, 100_000)
     min_correspondences: int = _value(10, "fewer are answered with too_few_correspondences", "", 3, 100_000)
@@ -97,7 +97,7 @@ class HypothesisConfig(_Group):
     inlier_threshold_m: float = _value(0.6, "residual of an inlier correspondence (tau_in)", "m", 1e-3, 10.0)
     nms_radius_m: float = _value(0.6, "a seed has the largest eigenvector entry within this radius", "m", 0.0, 100.0)
     seed_ratio: float = _value(0.2, "share of the correspondences that may become seeds", "", 1e-3, 1.0)
-    max_seeds: int = _value(1000, "most seeds, whatever their share", "", 1, 100_000)
+    max_seeds: int = _value(2000, "most seeds, whatever their share", "", 1, 100_000)
     first_consensus: int = _value(30, "size of the first consensus set (k1)", "", 3, 64)
     second_consensus: int = _value(20, "size of the second consensus set (k2)", "", 3, 64)
     power_iterations: int = _value(20, "rounds of the power iteration", "", 1, 1000)
@@ -114,12 +114,14 @@ class ShortlistConfig(_Group):
     """Distinct hypotheses, each refined before it is judged."""
 
     max_poses: int = _value(12, "distinct poses that are refined and judged", "", 1, 1000)
-    max_hypotheses: int = _value(200, "best hypotheses that the shortlist is drawn from (K)", "", 1, 100_000)
+    prescore_cell_m: float = _value(0.6, "cell of the cheap look at all hypotheses", "m", 0.01, 10.0)
+    prescore_points: int = _value(500, "source points of the cheap look", "", 10, 100_000)
     distinct_rotation_deg: float = _value(5.0, "poses farther apart than this are distinct", "deg", 0.0, 180.0)
     distinct_translation_m: float = _value(1.0, "poses farther apart than this are distinct", "m", 0.0, 100.0)
     correspondence_rounds: int = _value(20, "rounds of weighted Kabsch on the correspondences", "", 0, 100)
     correspondence_eps_m: float = _value(1.2, "residual at which a weight is one half (eps)", "m", 1e-3, 10.0)
     icp_rounds: int = _value(12, "rounds of point-to-plane ICP", "", 0, 200)
+    icp_points: int = _value(2500, "source points of ICP on the shortlist; the chosen pose takes all", "", 50, 1_000_000)
     icp_distance_m: float = _value(1.0, "largest distance of an ICP pair", "m", 1e-3, 10.0)
 
 
@@ -128,6 +130,8 @@ class SightViewConfig(_Group):
     """Sight lines of the default method (method section 3)."""
 
     tolerance_m: float = _value(0.6, "range and overlap tolerance (tau)", "m", 1e-3, 10.0)
+    beam_radius_voxels: float = _value(0.5, "a point blocks a line that passes within this of it", "voxels", 0.05, 5.0)
+    max_cone_deg: float = _value(3.0, "cap of the cone's half angle near the sensor (theta)", "deg", 0.05, 45.0)
     max_incidence_deg: float = _value(85.0, "cap of the angle between ray and normal (phi)", "deg", 0.0, 89.9)
     same_side_cosine: float = _value(0.3, "normals agree above this, are opposed below its negative", "", 0.0, 1.0)
 
@@ -238,7 +242,7 @@ PRESETS: dict[str, Config] = {
     "lidar_indoor": with_values(
         Config(),
         {
-            "preprocess.voxel_size_m": 0.25,
+            "preprocess.voxel_size_m": 0.3,
             "preprocess.min_range_m": 0.5,
             "preprocess.max_range_m": 60.0,
             "sight_view.tolerance_m": 0.4,
@@ -256,6 +260,7 @@ PRESETS: dict[str, Config] = {
             "shortlist.distinct_translation_m": 0.3,
             "shortlist.correspondence_eps_m": 0.1,
             "shortlist.icp_distance_m": 0.15,
+            "shortlist.prescore_cell_m": 0.1,
             "sight_view.tolerance_m": 0.1,
             "paper.tolerance_m": 0.1,
         },

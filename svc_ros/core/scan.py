@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -64,7 +66,7 @@ class PreparedScan:
     """A scan after range crop and voxel grid: what every later stage looks at.
 
     points: (K, 3) [m]; normals: (K, 3) unit, turned towards the sensor; sensor_origin: (3,) [m];
-    voxel_size_m: the grid that thinned it.
+    voxel_size_m: the grid that thinned it; memo: search structures, built on first use and kept with the scan.
     """
 
     points: Array
@@ -73,6 +75,7 @@ class PreparedScan:
     voxel_size_m: float
     stamp_ns: int = 0
     frame_id: str = ""
+    memo: dict[Hashable, Any] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         _freeze(self, "points", np.float64, (None, 3))

@@ -1,0 +1,64 @@
+"""SC2-PCR: seeds -> consensus sets -> poses, ranked over all correspondences (method section 4)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from svc_ros.core import kernels, se3
+from svc_ros.core.compatibility import compute_compatibility, leading_eigenvector
+from svc_ros.core.config import HypothesisConfig
+from svc_ros.core.scan import Array, Correspondences, HypothesisSet, IndexArray
+
+
+def generate_hypotheses(correspondences: Correspondences, config: HypothesisConfig) -> HypothesisSet:
+    """Poses T_target_source that many correspondences agree on, best first; empty where there are none."""
+    x, y = correspondences.source_points, correspondences.target_points
+    compatibility = compute_compatibility(correspondences, config.compatibility_threshold_m)
+    confidence = leading_eigenvector(compatibility, config.power_iterations)
+    seeds = select_seeds(x, confidence, config)
+    sets, sizes = find_consensus_sets(correspondences, seeds, compatibility.loose, compatibility.tight, config)
+    weights = np.zeros(sets.shape)
+    kernels.set_weights(sets, sizes, x, y, config.compatibility_threshold_m, config.power_iterations, weights)
+    T, valid = se3.kabsch(x[sets], y[sets], weights)
+    return rank(T[valid & (sizes >= 3)], correspondences, config)
+
+
+def select_seeds(source_points: Array, confidence: Array, config: HypothesisConfig) -> IndexArray:
+    """Local maxima of the confidence in source space, best first, at most a share of all; never padded."""
+    is_maximum = np.zeros(len(confidence), bool)
+    kernels.mark_local_maxima(source_points, confidence, config.nms_radius_m, is_maximum)
+    maxima = np.flatnonzero(is_maximum)
+    limit = min(config.max_seeds, max(1, int(config.seed_ratio * len(confidence))))
+    return maxima[np.argsort(-confidence[maxima], kind="stable")][:limit]
+
+
+def find_consensus_sets(
+    correspondences: Correspondences,
+    seeds: IndexArray,
+    loose: NDArray[np.uint64],
+    tight: NDArray[np.uint64],
+    config: HypothesisConfig,
+) -> tuple[IndexArray, IndexArray]:
+    """Consensus sets (S, k2) of the seeds as correspondence indices, and how many of each row are valid (S,)."""
+    sets = np.zeros((len(seeds), config.second_consensus), np.int64)
+    sizes = np.zeros(len(seeds), np.int64)
+    kernels.consensus_sets(
+        seeds, correspondences.source_points, correspondences.target_points, config.compatibility_threshold_m,
+        loose, tight, config.first_consensus, config.second_consensus, sets, sizes,
+    )  # fmt: skip
+    return sets, sizes
+
+
+def rank(T: Array, correspondences: Correspondences, config: HypothesisConfig) -> HypothesisSet:
+    """Score poses (H, 4, 4) over all correspondences by the configured metric and sort them, best first.
+
+    ic counts the inliers; mae and mse sum 1 - e / tau_in and its square over them (larger is better in all three).
+    """
+    num_inliers = np.zeros(len(T), np.int64)
+    mae, mse = np.zeros(len(T)), np.zeros(len(T))
+    x, y = correspondences.source_points, correspondences.target_points
+    kernels.score_poses(np.ascontiguousarray(T), x, y, config.inlier_threshold_m, num_inliers, mae, mse)
+    score = {"ic": num_inliers.astype(np.float64), "mae": mae, "mse": mse}[config.ranking]
+    order = np.argsort(-score, kind="stable")
+    return HypothesisSet(T[order], num_inliers[order], score[order])

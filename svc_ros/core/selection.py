@@ -1,0 +1,128 @@
+"""How each method chooses one pose and judges it.
+
+`sc2`: the best hypothesis by inliers, always accepted. `svc_paper`: the published algorithms to the letter. `svc`:
+the default, every distinct hypothesis refined, looked at along the sight lines of both scans, the best one judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from svc_ros.core import decision, paper_rule, shortlist
+from svc_ros.core.config import Config
+from svc_ros.core.evidence import SightViewEvidence
+from svc_ros.core.result import Reason, RegistrationResult, Verdict
+from svc_ros.core.scan import Array, Correspondences, HypothesisSet, PreparedScan
+from svc_ros.core.se3 import pose_error
+from svc_ros.core.sight_view import gather_evidence
+from svc_ros.core.stopwatch import Stopwatch
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two prepared scans on their way to a verdict, with what was counted and timed so far."""
+
+    source: PreparedScan
+    target: PreparedScan
+    config: Config
+    counts: dict[str, int]
+    watch: Stopwatch
+
+    def look(self, T: Array) -> SightViewEvidence:
+        """The evidence of one pose."""
+        with self.watch.stage("sight_view"):
+            return gather_evidence(self.source, self.target, T, self.config.sight_view)
+
+    def refine(self, T: Array, num_points: int) -> shortlist.RefinedPose:
+        """One pose after ICP with about that many points."""
+        with self.watch.stage("refinement"):
+            return shortlist.refine_by_icp(T, self.source, self.target, self.config.shortlist, num_points)
+
+    def answer(self, T: Array, evidence: SightViewEvidence | None, decided: decision.Decision) -> RegistrationResult:
+        """The result for the pose T; it is the transform exactly if the verdict is ACCEPTED."""
+        accepted = decided.verdict is Verdict.ACCEPTED
+        return RegistrationResult(
+            decided.verdict, decided.reason, self.config.method, T if accepted else None, T,
+            None, decided.probability, evidence, self.counts, self.watch.times(), decided.detail,
+        )  # fmt: skip
+
+
+def choose_sc2(pair: Pair, correspondences: Correspondences, hypotheses: HypothesisSet) -> RegistrationResult:
+    """The first hypothesis, refined on the correspondences; accepted whatever it is."""
+    config = pair.config
+    with pair.watch.stage("refinement"):
+        T = shortlist.refine_on_correspondences(
+            hypotheses.T_target_source[0], correspondences, config.hypotheses, config.shortlist
+        )
+    share = float(hypotheses.num_inliers[0]) / len(correspondences)
+    return pair.answer(T, pair.look(T), _accept_blindly(share))
+
+
+def verify_sc2(pair: Pair, T: Array) -> RegistrationResult:
+    """No judgement: every pose is accepted."""
+    evidence = pair.look(T)
+    return pair.answer(T, evidence, _accept_blindly(evidence.overlap_ratio))
+
+
+def _accept_blindly(probability: float) -> decision.Decision:
+    return decision.Decision(Verdict.ACCEPTED, Reason.OK, probability, "method sc2 accepts without judging")
+
+
+def choose_paper(pair: Pair, correspondences: Correspondences, hypotheses: HypothesisSet) -> RegistrationResult:
+    """Algorithm 1: the first hypothesis that passes both ways; when none passes, the first one, rejected."""
+    poses = hypotheses.T_target_source[: pair.config.paper.max_hypotheses]
+    with pair.watch.stage("sight_view"):
+        for tried, T in enumerate(poses, 1):
+            pair.counts["judged"] = tried
+            if paper_rule.check_both_ways(pair.source, pair.target, T, pair.config.paper)[2]:
+                return _paper_answer(pair, T)
+    return _paper_answer(pair, poses[0])
+
+
+def _paper_answer(pair: Pair, T: Array) -> RegistrationResult:
+    """Algorithm 2 both ways, with the overlap of the default mode as further evidence."""
+    in_target, in_source, passed = paper_rule.check_both_ways(pair.source, pair.target, T, pair.config.paper)
+    overlap = pair.look(T)
+    evidence = SightViewEvidence(
+        in_target, in_source, overlap.overlap_ratio, overlap.oriented_overlap_ratio, overlap.opposed_ratio
+    )
+    blocked = max(in_target.blocked_ratio, in_source.blocked_ratio)
+    verdict, reason = (Verdict.ACCEPTED, Reason.OK) if passed else (Verdict.REJECTED, Reason.SIGHT_VIEW_BLOCKED)
+    detail = f"blocked share {blocked:.3f}, the paper allows {pair.config.paper.max_blocked_ratio:g}"
+    return pair.answer(T, evidence, decision.Decision(verdict, reason, 1.0 - blocked, detail))
+
+
+def choose_svc(pair: Pair, correspondences: Correspondences, hypotheses: HypothesisSet) -> RegistrationResult:
+    """Refine every distinct hypothesis, look along its sight lines, judge the one that looks best."""
+    config = pair.config
+    with pair.watch.stage("shortlist"):
+        starts = shortlist.shortlist(hypotheses, correspondences, (pair.source, pair.target), config)
+    refined = [pair.refine(T, config.shortlist.icp_points).T_target_source for T in starts]
+    scores = [decision.score(pair.look(T)) for T in refined]
+    pair.counts["judged"] = len(refined)
+    T = pair.refine(refined[int(np.argmax(scores))], len(pair.source)).T_target_source
+    evidence = pair.look(T)
+    return pair.answer(T, evidence, decision.decide(evidence, config.decision))
+
+
+def verify_svc(pair: Pair, T: Array) -> RegistrationResult:
+    """Refine the pose, unless that moves it away from what was asked, and judge it."""
+    refined = pair.refine(T, len(pair.source)).T_target_source
+    angle, distance = pose_error(refined, T)
+    limits = pair.config.shortlist
+    moved_away = angle > limits.distinct_rotation_deg or distance > limits.distinct_translation_m
+    judged = T if moved_away else refined
+    evidence = pair.look(judged)
+    return pair.answer(judged, evidence, decision.decide(evidence, pair.config.decision))
+
+
+Chooser = Callable[[Pair, Correspondences, HypothesisSet], RegistrationResult]
+METHODS: dict[str, Chooser] = {"sc2": choose_sc2, "svc_paper": choose_paper, "svc": choose_svc}
+VERIFIERS: dict[str, Callable[[Pair, Array], RegistrationResult]] = {
+    "sc2": verify_sc2,
+    "svc_paper": _paper_answer,
+    "svc": verify_svc,
+}

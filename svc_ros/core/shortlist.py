@@ -1,0 +1,129 @@
+"""From many hypotheses to a few distinct poses, each refined before it is judged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import small_gicp
+from numpy.typing import NDArray
+
+from svc_ros.core import se3
+from svc_ros.core.config import Config, HypothesisConfig, ShortlistConfig
+from svc_ros.core.prescore import prescore, thin_evenly
+from svc_ros.core.scan import Array, Correspondences, HypothesisSet, IndexArray, PreparedScan
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedPose:
+    """A pose after point-to-plane ICP.
+
+    hessian: (6, 6) of the summed squared residuals in [rotation, translation] of a right perturbation;
+    num_pairs: ICP pairs; sq_error: half the sum of their squared point-to-plane residuals [m^2].
+    """
+
+    T_target_source: Array
+    hessian: Array
+    num_pairs: int
+    sq_error: float
+
+
+def select_distinct(T: Array, config: ShortlistConfig, limit: int) -> IndexArray:
+    """Indices of at most `limit` poses (H, 4, 4), in order, none near one that stands before it."""
+    chosen: list[int] = []
+    free = np.ones(len(T), bool)
+    for i in range(len(T)):
+        if len(chosen) == limit:
+            break
+        if free[i]:
+            chosen.append(i)
+            free &= ~find_near(T, T[i], config)
+    return np.asarray(chosen, np.int64)
+
+
+def find_near(T: Array, pose: Array, config: ShortlistConfig) -> NDArray[np.bool_]:
+    """Mask (H,) of the poses (H, 4, 4) that are the same as `pose` (4, 4) within the distinctness limits."""
+    angle = se3.rotation_angle_deg(np.einsum("hji,jk->hik", T[:, :3, :3], pose[:3, :3]))
+    distance = np.linalg.norm(T[:, :3, 3] - pose[:3, 3], axis=1)
+    return np.asarray((angle <= config.distinct_rotation_deg) & (distance <= config.distinct_translation_m))
+
+
+def refine_on_correspondences(
+    T: Array, correspondences: Correspondences, hypotheses: HypothesisConfig, config: ShortlistConfig
+) -> Array:
+    """Weighted Kabsch on the inliers, weights 1 / (1 + (e / eps)^2), until their number stops changing."""
+    x, y = correspondences.source_points, correspondences.target_points
+    previous = -1
+    for _ in range(config.correspondence_rounds):
+        residual = np.linalg.norm(se3.apply(T, x) - y, axis=1)
+        inlier = residual < hypotheses.inlier_threshold_m
+        if inlier.sum() in (previous, 0):
+            break
+        previous = int(inlier.sum())
+        weights = 1.0 / (1.0 + (residual[inlier] / config.correspondence_eps_m) ** 2)
+        poses, valid = se3.kabsch(x[None, inlier], y[None, inlier], weights[None])
+        if not valid[0]:
+            break
+        T = poses[0]
+    return T
+
+
+def refine_by_icp(
+    T: Array, source: PreparedScan, target: PreparedScan, config: ShortlistConfig, num_points: int
+) -> RefinedPose:
+    """Point-to-plane ICP (small_gicp, one thread: the same bits every time), wide first, then half as wide.
+
+    About `num_points` source points take part.
+    """
+    result: Any = None
+    for distance in (config.icp_distance_m, 0.5 * config.icp_distance_m):
+        result = small_gicp.align(
+            surface_cloud(target), thinned_cloud(source, num_points), surface_tree(target), T,
+            registration_type="PLANE_ICP", max_correspondence_distance=distance,
+            max_iterations=config.icp_rounds, rotation_epsilon=1e-4, translation_epsilon=1e-4,
+        )  # fmt: skip
+        T = se3.nearest_pose(result.T_target_source)
+    return RefinedPose(T, np.asarray(result.H), int(result.num_inliers), float(result.error))
+
+
+def shortlist(
+    hypotheses: HypothesisSet, correspondences: Correspondences, pair: tuple[PreparedScan, PreparedScan], config: Config
+) -> Array:
+    """The best distinct hypotheses (S, 4, 4), refined on the correspondences.
+
+    Half of the places go to the best by the scans' own agreement (prescore), the others by the hypotheses' rank.
+    """
+    limits = config.shortlist
+    T = hypotheses.T_target_source
+    agreement = prescore(T, *pair, limits.prescore_cell_m, limits.prescore_points)
+    by_agreement = np.argsort(-agreement, kind="stable")
+    first = by_agreement[select_distinct(T[by_agreement], limits, limits.max_poses)]
+    by_rank = select_distinct(T, limits, max(1, limits.max_poses // 4))
+    starts = T[np.concatenate((by_rank, first))]
+    refined = np.array([refine_on_correspondences(pose, correspondences, config.hypotheses, limits) for pose in starts])
+    return refined[select_distinct(refined, limits, limits.max_poses)]
+
+
+def thinned_cloud(scan: PreparedScan, num_points: int) -> Any:
+    """About `num_points` of the scan's points as a small_gicp cloud, built on first use."""
+    key = ("thinned_cloud", num_points)
+    if key not in scan.memo:
+        scan.memo[key] = small_gicp.PointCloud(scan.points[thin_evenly(len(scan), num_points)])
+    return scan.memo[key]
+
+
+def surface_cloud(scan: PreparedScan) -> Any:
+    """The scan as a small_gicp cloud with normals, built on first use."""
+    if "surface_cloud" not in scan.memo:
+        cloud = small_gicp.PointCloud(scan.points)
+        small_gicp.estimate_normals(cloud, surface_tree(scan), num_neighbors=10)
+        scan.memo["surface_cloud"] = cloud
+    return scan.memo["surface_cloud"]
+
+
+def surface_tree(scan: PreparedScan) -> Any:
+    """The scan's kd-tree for ICP, built on first use."""
+    if "surface_tree" not in scan.memo:
+        scan.memo["surface_tree"] = small_gicp.KdTree(scan.points)
+    return scan.memo["surface_tree"]

@@ -1,0 +1,60 @@
+"""Sight lines: does a placed scan stand in the way of what the other sensor saw? (paper, Theorem 1)
+
+Default mode: a line is blocked by the nearest point that stands clearly before its end, where both surfaces' tangent
+planes tell the two points apart; grazing surfaces (the ground between two rings) contradict nothing. Both directions
+are always looked at (paper, Algorithm 1). The published rule, to the letter, is in `paper_rule.py`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from svc_ros.core import se3, sight_kernels
+from svc_ros.core.config import SightViewConfig
+from svc_ros.core.evidence import SightLines, SightViewEvidence
+from svc_ros.core.neighbours import direction_grid, radius_grid
+from svc_ros.core.scan import Array, PreparedScan
+
+
+def gather_evidence(
+    source: PreparedScan, target: PreparedScan, T_target_source: Array, config: SightViewConfig
+) -> SightViewEvidence:
+    """Look along the sight lines of both scans with the other one placed by the pose."""
+    in_target, source_shares = _look(target, source, T_target_source, config)
+    in_source, target_shares = _look(source, target, se3.invert(T_target_source), config)
+    overlap, oriented, opposed = np.minimum(source_shares, target_shares)
+    return SightViewEvidence(in_target, in_source, float(overlap), float(oriented), float(opposed))
+
+
+def _look(
+    observer: PreparedScan, other: PreparedScan, T_observer_other: Array, config: SightViewConfig
+) -> tuple[SightLines, Array]:
+    """The observer's sight lines, and the shares of the other scan's points that overlap, agree and are opposed."""
+    points, normals = se3.apply(T_observer_other, other.points), se3.rotate(T_observer_other, other.normals)
+    nearest = radius_grid(observer, config.tolerance_m).nearest(points)
+    near = nearest >= 0
+    cosine = np.einsum("ij,ij->i", normals[near], observer.normals[nearest[near]])
+    same, opposed = (cosine > config.same_side_cosine).sum(), (cosine < -config.same_side_cosine).sum()
+    shares = np.array([near.sum(), same, opposed]) / len(points)
+    return _find_blocked(observer, points, normals, ~near, config), shares
+
+
+def _find_blocked(
+    observer: PreparedScan, points: Array, normals: Array, alone: NDArray[np.bool_], config: SightViewConfig
+) -> SightLines:
+    """Blocked lines of the observer, with the points (M, 3) that lie on nothing of its scan as possible blockers."""
+    grid = direction_grid(observer)
+    num = len(observer)
+    blocker, blocker_range, observed = np.full(num, -1, np.int64), np.zeros(num), np.zeros(num, bool)
+    limits = np.array(
+        [config.tolerance_m, config.beam_radius_voxels * observer.voxel_size_m,
+         np.radians(config.max_cone_deg), np.tan(np.radians(config.max_incidence_deg))]
+    )  # fmt: skip
+    names = np.flatnonzero(alone)
+    sight_kernels.find_blockers(
+        points[names] - observer.sensor_origin, normals[names], names, grid.points, grid.normals, grid.order,
+        grid.cell_starts, grid.rows, grid.columns, limits, blocker, blocker_range, observed,
+    )  # fmt: skip
+    blocked = np.flatnonzero(blocker >= 0)
+    return SightLines(num, int(observed.sum()), blocked, blocker[blocked])
