@@ -1,10 +1,12 @@
-"""The other end of the node's topics: collects what it answers. Used by the demo and by the player."""
+"""The other end of the node's topics: collects what it answers, and reads a decision back into a result."""
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
@@ -13,9 +15,16 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 
+from svc_ros.core.errors import InputError
+from svc_ros.core.result import RegistrationResult
+from svc_ros.io.results import result_from_json
 from svc_ros.io.stamps import text_from_ns
 
 _DEPTH = 1000
+_TEXTS = {
+    "verdict", "reason", "method", "detail", "source_stamp", "target_stamp", "source_frame", "target_frame",
+    "T_target_source", "best_candidate",
+}  # fmt: skip
 _DECISIONS = QoSProfile(
     depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
@@ -55,6 +64,35 @@ class DecisionCollector:
 
     def _on_decision(self, message: DiagnosticArray) -> None:
         self.answers.decisions += [{kv.key: kv.value for kv in status.values} for status in message.status]
+
+
+def result_from_decision(values: Mapping[str, str]) -> RegistrationResult:
+    """The result that a decision's key-values tell; InputError names the key that is missing or wrong.
+
+    The message has how many sight lines are blocked, not which, and no covariance (that is in the pose).
+    """
+    numbers = {key: _number(key, text) for key, text in values.items() if _is_own_number(key)}
+    record: dict[str, Any] = {name: values.get(name, "") for name in ("verdict", "reason", "method", "detail")}
+    record |= {name: json.loads(values.get(name) or "null") for name in ("T_target_source", "best_candidate")}
+    record["probability"] = numbers.pop("probability", None)
+    for group in ("counts", "time_ms"):
+        members = [name for name in numbers if name.startswith(f"{group}.")]
+        record[group] = {name.partition(".")[2]: numbers.pop(name) for name in members}
+    record["counts"] = {name: int(count) for name, count in record["counts"].items()}
+    record["evidence"] = numbers
+    return result_from_json(record)
+
+
+def _is_own_number(key: str) -> bool:
+    """True for the result's numbers; the node's own latencies end in _ms and are not the result's."""
+    return key not in _TEXTS and not key.endswith("_ms")
+
+
+def _number(key: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"decision: {key}: expected a number, found {text!r:.40}") from None
 
 
 def spin_until(executor: SingleThreadedExecutor, condition: Callable[[], bool], timeout_s: float) -> bool:
