@@ -1,0 +1,275 @@
+"""What `svc_ros doctor` finds out: about machines that lack something, and about bags that are odd in one way each."""
+
+from __future__ import annotations
+
+import builtins
+import ctypes
+import importlib
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bag_recorder import CLOUD, START, Recorder, S, record
+from cloud_messages import Cloud, xyz_cloud
+
+from svc_ros.cli import doctor
+from svc_ros.cli.doctor import Finding, check_bag, check_installation
+from svc_ros.core.errors import InputError
+from svc_ros.io.config_yaml import write_preset_files
+
+PROJECT_ROOT = Path(__file__).resolve().parent.parent
+BALL = np.random.default_rng(1).normal(size=(300, 3)) * 8.0
+NAN_FREE = xyz_cloud(BALL)
+
+
+def named(findings: list[Finding], name: str) -> Finding:
+    found = [finding for finding in findings if finding.name == name]
+    assert len(found) == 1, f"{name}: {[f.name for f in findings]}"
+    return found[0]
+
+
+def bag_of(path: Path, *clouds: tuple[int, Cloud], frames: tuple[tuple[str, str], ...] = ()) -> Path:
+    """A bag of clouds at bag times [s after START] and static transforms."""
+
+    def fill(recorder: Recorder) -> None:
+        for parent, child in frames:
+            recorder.transform("/tf_static", START, (parent, child), (0, 0, 1.5, 0, 0, 0, 1))
+        for seconds, cloud in clouds:
+            recorder.write("/points", CLOUD, START + seconds * S, cloud.message())
+
+    return record(path / "bag", "mcap", fill)
+
+
+def cloud_at(seconds: float, points: Any = BALL, frame: str = "lidar") -> Cloud:
+    return xyz_cloud(points, START + round(seconds * S), frame)
+
+
+def three_good(path: Path, frames: tuple[tuple[str, str], ...] = ()) -> Path:
+    return bag_of(path, *((k, cloud_at(k)) for k in range(3)), frames=frames)
+
+
+class TestInstallation:
+    def test_this_environment_has_what_is_required(self) -> None:
+        findings = check_installation()
+        assert [f for f in findings if f.level == "error"] == []
+        required = {"Python", "numpy", "scipy", "numba", "open3d", "kiss_icp", "rosbags", "yaml", "matplotlib"}
+        assert required <= {f.name for f in findings}
+        assert named(findings, "numpy").found == np.__version__
+
+    def test_a_missing_package_comes_with_its_command(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setitem(sys.modules, "rosbags", None)
+        finding = named(check_installation(), "rosbags")
+        assert finding.level == "error"
+        assert "pip install 'rosbags>=0.11'" in finding.advice
+
+    def test_a_missing_optional_package_is_no_error(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setitem(sys.modules, "laspy", None)
+        finding = named(check_installation(), "laspy")
+        assert (finding.level, "laspy[lazrs]" in finding.advice) == ("warn", True)
+
+    def test_open3d_without_its_library_names_library_and_package(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        real = importlib.import_module
+
+        def refuse(name: str, package: str | None = None) -> Any:
+            if name == "open3d":
+                raise OSError("libGL.so.1: cannot open shared object file: No such file or directory")
+            return real(name, package)
+
+        monkeypatch.setattr(importlib, "import_module", refuse)
+        finding = named(check_installation(), "open3d")
+        assert finding.level == "error"
+        assert "libGL.so.1" in finding.found
+        assert finding.advice == "apt-get install libgl1"
+
+    @pytest.mark.parametrize(("open3d_works", "level"), [(True, "warn"), (False, "error")])
+    def test_missing_system_libraries(self, monkeypatch: pytest.MonkeyPatch, open3d_works: bool, level: str) -> None:
+        def load(name: str) -> None:
+            if name == "libEGL.so.1":
+                raise OSError(name)
+
+        monkeypatch.setattr(ctypes, "CDLL", load)
+        monkeypatch.setattr(doctor.platform, "system", lambda: "Linux")
+        (finding,) = doctor.check_system_libraries(open3d_works)
+        assert (finding.name, finding.level) == ("libEGL.so.1", level)
+        assert finding.advice == "apt-get install libegl1"
+
+    def test_presets_are_read_from_the_folder(self, tmp_path: Path) -> None:
+        write_preset_files(tmp_path)
+        assert {f.level for f in doctor.check_presets(tmp_path)} == {"ok"}
+        (tmp_path / "lidar_indoor.yaml").write_text("preprocess: {voxel_size_metre: 1.0}\n")
+        (tmp_path / "rgbd_indoor.yaml").unlink()
+        findings = doctor.check_presets(tmp_path)
+        broken = named(findings, "preset lidar_indoor")
+        assert broken.level == "error"
+        assert "voxel_size_metre" in broken.found
+        assert named(findings, "preset rgbd_indoor").level == "warn"
+
+
+class TestRos:
+    def make_rclpy(self, folder: Path, wheel: bool, works: bool = True) -> str:
+        (folder / "rclpy").mkdir(parents=True)
+        (folder / "rclpy" / "__init__.py").write_text("" if works else "raise ImportError('librcl.so')")
+        if wheel:
+            (folder / "ros_rclpy-7.1.6.dist-info").mkdir()
+        return str(folder)
+
+    @pytest.fixture(autouse=True)
+    def _no_ros_sourced(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+        monkeypatch.setattr(doctor, "_import_problem", lambda module: "")
+
+    def test_none(self, tmp_path: Path) -> None:
+        (finding,) = doctor.check_ros([str(tmp_path)])
+        assert (finding.level, "svc_ros[ros]" in finding.advice) == ("warn", True)
+
+    def test_wheels_alone(self, tmp_path: Path) -> None:
+        (finding,) = doctor.check_ros([self.make_rclpy(tmp_path, wheel=True)])
+        assert (finding.level, "from wheels" in finding.found) == ("ok", True)
+
+    def test_two_on_the_search_path_are_an_error(self, tmp_path: Path) -> None:
+        path = [self.make_rclpy(tmp_path / "a", wheel=True), self.make_rclpy(tmp_path / "b", wheel=False)]
+        (finding,) = doctor.check_ros(path)
+        assert finding.level == "error"
+        assert str(tmp_path / "a") in finding.found
+        assert str(tmp_path / "b") in finding.found
+
+    def test_wheels_under_a_sourced_ros_are_an_error(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.make_rclpy(tmp_path / "jazzy" / "lib" / "python3.12" / "site-packages", wheel=False)
+        monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "jazzy"))
+        (finding,) = doctor.check_ros([self.make_rclpy(tmp_path / "venv", wheel=True)])
+        assert (finding.level, str(tmp_path / "jazzy") in finding.found) == ("error", True)
+
+    def test_a_workspace_without_an_rclpy_is_no_second_ros(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "install" / "svc_ros"))
+        (finding,) = doctor.check_ros([self.make_rclpy(tmp_path / "venv", wheel=True)])
+        assert finding.level == "ok"
+
+    def test_numpy_2_beside_apt_packages_is_a_warning(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(doctor.metadata, "version", lambda name: "2.1.0")
+        home = self.make_rclpy(tmp_path, wheel=False)
+        assert named(doctor.check_ros([home]), "numpy beside ROS").level == "warn"
+
+    def test_an_inherited_guard_is_named(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(doctor, "_import_problem", lambda module: "ImportError: librcl.so")
+        monkeypatch.setenv("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "1")
+        monkeypatch.setenv("LD_LIBRARY_PATH", "/elsewhere")
+        (finding,) = doctor.check_ros([self.make_rclpy(tmp_path, wheel=True)])
+        assert finding.level == "error"
+        assert "unset _ROS_WHEELS_BOOTSTRAP_COMPLETE" in finding.advice
+
+
+def test_import_in_a_python_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    (tmp_path / "quarrelsome.py").write_text("raise ImportError('libfoo.so is missing')")
+    assert doctor._import_problem("quarrelsome") == "ImportError: libfoo.so is missing"
+    assert doctor._import_problem("json") == ""
+
+
+class TestBag:
+    def test_a_good_bag_has_nothing_to_complain_about(self, tmp_path: Path) -> None:
+        findings = check_bag(three_good(tmp_path, frames=(("base", "lidar"),)))
+        assert {f.level for f in findings} == {"ok"}
+        assert named(findings, "topic /points").found == f"{CLOUD}, 3 messages"
+        assert named(findings, "/points fields").found == "x float32, y float32, z float32; 12 bytes a point"
+        assert named(findings, "/points points").found.startswith("300 a cloud")
+        assert "1.0 Hz" in named(findings, "/points stamps").found
+        assert "base 100%" in named(findings, "/points transforms of lidar").found
+
+    def test_a_frame_without_transforms_is_a_warning(self, tmp_path: Path) -> None:
+        findings = check_bag(three_good(tmp_path, frames=(("map", "camera"),)))
+        finding = named(findings, "/points transforms of lidar")
+        assert finding.level == "warn"
+        assert "camera, map" in finding.found
+
+    def test_shares_of_nan_and_zero_points(self, tmp_path: Path) -> None:
+        points = BALL.copy()
+        points[:225] = np.nan
+        points[225:240] = 0.0
+        findings = check_bag(bag_of(tmp_path, (0, cloud_at(0, points))))
+        assert (named(findings, "/points NaN share").level, named(findings, "/points NaN share").found) == (
+            "warn", "75.0%",
+        )  # fmt: skip
+        assert named(findings, "/points zero-point share").found == "5.0%"
+
+    def test_empty_clouds_are_counted(self, tmp_path: Path) -> None:
+        findings = check_bag(bag_of(tmp_path, (0, cloud_at(0)), (1, cloud_at(1, np.empty((0, 3))))))
+        finding = named(findings, "/points points")
+        assert (finding.level, "1 clouds empty" in finding.found) == ("warn", True)
+
+    def test_stamps_backwards_repeated_and_with_a_gap(self, tmp_path: Path) -> None:
+        seconds = [0.0, 0.1, 0.2, 0.2, 0.3, 0.4, 1.4, 1.3]
+        bag = bag_of(tmp_path, *((round(s), cloud_at(s)) for s in seconds))
+        findings = check_bag(bag)
+        assert named(findings, "/points stamp order").found == "1 backwards"
+        assert named(findings, "/points stamp repeats").found == "1 duplicates"
+        assert named(findings, "/points stamp gaps").found == "1 gaps, the longest 1.000 s"
+
+    def test_stamps_of_zero_are_an_error(self, tmp_path: Path) -> None:
+        findings = check_bag(bag_of(tmp_path, *((k, replace(NAN_FREE, stamp_ns=0)) for k in range(2))))
+        assert named(findings, "/points stamps").level == "error"
+
+    def test_header_time_of_another_clock(self, tmp_path: Path) -> None:
+        findings = check_bag(bag_of(tmp_path, *((k, cloud_at(k - 100)) for k in range(3))))
+        finding = named(findings, "/points header and bag time")
+        assert (finding.level, "+100.000 s" in finding.found) == ("warn", True)
+
+    def test_some_broken_clouds_warn_and_only_broken_ones_are_an_error(self, tmp_path: Path) -> None:
+        broken = replace(cloud_at(1), data=b"\0" * 12)
+        some = named(check_bag(bag_of(tmp_path / "some", (0, cloud_at(0)), (1, broken))), "/points fields")
+        assert some.level == "warn"
+        assert "1 of 2 clouds refused" in some.found
+        assert "truncated" in some.found
+        assert named(check_bag(bag_of(tmp_path / "all", (1, broken))), "/points fields").level == "error"
+
+    def test_frames_that_change_or_have_no_name(self, tmp_path: Path) -> None:
+        two = check_bag(bag_of(tmp_path / "two", (0, cloud_at(0, frame="left")), (1, cloud_at(1, frame="right"))))
+        assert (named(two, "/points frame").level, named(two, "/points frame").found) == ("warn", "left, right")
+        assert named(check_bag(bag_of(tmp_path / "no", (0, cloud_at(0, frame="")))), "/points frame").level == "error"
+
+    def test_a_bag_without_clouds(self, tmp_path: Path) -> None:
+        assert named(check_bag(bag_of(tmp_path, frames=(("a", "b"),))), "clouds").level == "error"
+
+    def test_bad_input_is_an_exception_that_names_it(self, tmp_path: Path) -> None:
+        with pytest.raises(InputError, match=r"nothing\.bag"):
+            check_bag(tmp_path / "nothing.bag")
+        with pytest.raises(InputError, match="/points"):
+            check_bag(three_good(tmp_path), topic="/other")
+
+    @pytest.mark.parametrize(
+        ("reach_m", "wanted"), [(4.0, "rgbd_indoor"), (20.0, "lidar_indoor"), (70.0, "lidar_outdoor")]
+    )
+    def test_suggested_preset(self, tmp_path: Path, reach_m: float, wanted: str) -> None:
+        rng = np.random.default_rng(2)
+        directions = rng.normal(size=(2000, 3))
+        if reach_m < 8.0:
+            directions = np.array([0.0, 0.0, 1.0]) + 0.2 * directions  # a camera looks one way
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        cloud = cloud_at(0, directions * rng.uniform(0.5, reach_m, (2000, 1)))
+        assert named(check_bag(bag_of(tmp_path, (0, cloud))), "/points preset").found.startswith(wanted)
+
+    @pytest.mark.parametrize(
+        ("bag", "topic", "wanted"),
+        [
+            ("os0_64_walk/ros2_mcap", "/points", "lidar_indoor"),
+            ("os0_64_walk/ros1_first22.bag", "/points", "lidar_indoor"),
+            ("hdl64_kitti_a_10hz", "/velodyne_points", "lidar_outdoor"),
+        ],
+    )
+    def test_real_bags(self, shared_data: Path, bag: str, topic: str, wanted: str) -> None:
+        findings = check_bag(shared_data / "bags" / bag)
+        assert {f.level for f in findings} == {"ok"}
+        assert named(findings, f"{topic} preset").found.startswith(wanted)
+
+
+def test_the_checks_print_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def refuse(*args: object, **kwargs: object) -> None:
+        raise AssertionError(f"printed {args}")
+
+    monkeypatch.setattr(builtins, "print", refuse)
+    check_installation()
+    check_bag(three_good(tmp_path))
