@@ -5,17 +5,20 @@ from __future__ import annotations
 import multiprocessing
 import signal
 import time
-from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, TypeVar
+
+from numpy.typing import ArrayLike
 
 from svc_ros.core import registration
 from svc_ros.core.config import Config, with_values
 from svc_ros.core.errors import InputError, SvcError, TooFewPointsError
 from svc_ros.core.result import RegistrationResult
-from svc_ros.core.scan import Features, PreparedScan, Scan
+from svc_ros.core.scan import Features, PreparedScan
 from svc_ros.evaluation.metrics import LabelledDecision, PairOutcome, judge_pose
 from svc_ros.evaluation.summary import (
     JobReport,
@@ -45,30 +48,13 @@ class _Job:
     index: int
 
 
-class _LeastRecentlyUsed:
-    """A bounded dictionary that forgets what was not asked for longest."""
-
-    def __init__(self, capacity: int) -> None:
-        self._capacity = capacity
-        self._items: OrderedDict[str, Any] = OrderedDict()
-
-    def get(self, key: str, make: Callable[[], T]) -> T:
-        if key not in self._items:
-            self._items[key] = make()
-            if len(self._items) > self._capacity:
-                self._items.popitem(last=False)
-        self._items.move_to_end(key)
-        value: T = self._items[key]
-        return value
-
-
 class _Evaluator:
     """Does jobs of one data set; lives once in the serial run and once in every worker process."""
 
     def __init__(self, dataset: Dataset, config: Config) -> None:
         self.dataset, self.config = dataset, config
-        self._prepared = _LeastRecentlyUsed(_CACHED_SCANS)
-        self._features = _LeastRecentlyUsed(_CACHED_SCANS)
+        self._prepared: Callable[[str], PreparedScan] = lru_cache(_CACHED_SCANS)(self._prepare)
+        self._features: Callable[[str], Features] = lru_cache(_CACHED_SCANS)(self._describe)
         self._scan_times: list[Mapping[str, float]] = []
 
     def run(self, job: _Job) -> JobReport:
@@ -113,39 +99,33 @@ class _Evaluator:
 
     def _register(self, pair: Pair) -> RegistrationResult:
         try:
-            source, target = self._features_of(pair, pair.source), self._features_of(pair, pair.target)
+            source, target = self._both(pair, self._features)
         except TooFewPointsError as error:
             return refused(error, self.config)
         return register_pair(source, target, self.config)
 
-    def _verify(self, pair: CandidatePair, T_target_source: Any) -> RegistrationResult:
+    def _verify(self, pair: CandidatePair, T_target_source: ArrayLike) -> RegistrationResult:
         try:
-            source, target = self._prepared_of(pair, pair.source), self._prepared_of(pair, pair.target)
-            return registration.verify(source, target, T_target_source, self.config)
+            source, target = self._both(pair, self._prepared)
         except TooFewPointsError as error:
             return refused(error, self.config)
+        return registration.verify(source, target, T_target_source, self.config)
 
-    def _features_of(self, pair: Pair, path: str) -> Features:
-        def make() -> Features:
-            prepared = self._prepared_of(pair, path)
-            return self._timed("features", lambda: registration.extract_features(prepared, self.config))
-
-        return self._features.get(path, make)
-
-    def _prepared_of(self, pair: Pair | CandidatePair, path: str) -> PreparedScan:
-        def make() -> PreparedScan:
-            scan = self._read(pair, path)
-            return self._timed("prepare", lambda: registration.prepare(scan, self.config))
-
-        return self._prepared.get(path, make)
-
-    def _read(self, pair: Pair | CandidatePair, path: str) -> Scan:
+    def _both(self, pair: Pair | CandidatePair, get: Callable[[str], T]) -> tuple[T, T]:
         try:
-            return self.dataset.read_scan(path)
+            return get(pair.source), get(pair.target)
         except TooFewPointsError:
             raise
         except (SvcError, OSError) as error:
             raise InputError(f"{_name(self.dataset, pair)}: {error}") from None
+
+    def _prepare(self, path: str) -> PreparedScan:
+        scan = self.dataset.read_scan(path)
+        return self._timed("prepare", lambda: registration.prepare(scan, self.config))
+
+    def _describe(self, path: str) -> Features:
+        prepared = self._prepared(path)
+        return self._timed("features", lambda: registration.extract_features(prepared, self.config))
 
     def _timed(self, stage: str, work: Callable[[], T]) -> T:
         start = time.perf_counter()
@@ -210,8 +190,20 @@ def _run_jobs(dataset: Dataset, config: Config, jobs: Sequence[_Job], workers: i
         return
     # spawned, not forked: a fork would copy the locks of numba's and Open3D's threads in whatever state they are
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(jobs)), context, _start_worker, (dataset, config)) as pool:
+    others = multiprocessing.active_children()
+    pool = ProcessPoolExecutor(min(workers, len(jobs)), context, _start_worker, (dataset, config))
+    try:
         yield from pool.map(_run_in_worker, jobs, chunksize=min(_CHUNK, -(-len(jobs) // workers)))
+    except BrokenProcessPool:
+        raise SvcError("evaluation: a worker process died, perhaps for lack of memory: use fewer workers") from None
+    except BaseException:
+        # an error or Ctrl-C: what the workers still do is of no use to anyone, so nobody waits for it
+        for child in multiprocessing.active_children():
+            if child not in others:
+                child.terminate()
+        raise
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
 
 
 _worker: _Evaluator | None = None
