@@ -42,7 +42,7 @@ def bench(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         folder = tmp_path_factory.mktemp("node")
-        parameters = {"preset": "lidar_indoor", "process_every": "true", "pair_timeout": "1.0"}
+        parameters = {"preset": "lidar_indoor", "process_every": "true"}
         with Bench(folder, own_domain_id(1), parameters) as bench:
             yield bench
 
@@ -53,6 +53,12 @@ def call(bench, service_type, name, request):
     future = client.call_async(request)
     assert spin_until(bench.executor, future.done, 10.0)
     return future.result()
+
+
+def set_parameter(bench, name, value):
+    request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+    (result,) = call(bench, SetParameters, "set_parameters", request).results
+    assert result.successful, result.reason
 
 
 def status(bench):
@@ -105,6 +111,15 @@ def test_good_pair_after_bad_ones_is_registered(bench):
     assert bench.decide(cloud(SCANS[1], 31.0), cloud(SCANS[0], 31.0))["verdict"] == "accepted"
 
 
+@pytest.fixture
+def impatient(bench):
+    """The node gives clouds without a partner up after a second."""
+    set_parameter(bench, "pair_timeout", 1.0)
+    yield
+    set_parameter(bench, "pair_timeout", 10.0)
+
+
+@pytest.mark.usefixtures("impatient")
 def test_clouds_without_a_partner_are_dropped_with_a_decision_each(bench):
     before = len(bench.answers.decisions)
     bench.player.publish(cloud(SCANS[1], 40.0), cloud(SCANS[0], 40.2))
@@ -118,6 +133,7 @@ def test_clouds_without_a_partner_are_dropped_with_a_decision_each(bench):
     assert len(dropped) == 2
 
 
+@pytest.mark.usefixtures("impatient")
 def test_pair_within_the_skew_is_matched_when_the_streams_fall_silent(bench):
     decision = bench.decide(cloud(SCANS[1], 50.0), cloud(SCANS[0], 50.03))
     assert decision["target_stamp"] == "50.030000000"
@@ -149,12 +165,6 @@ def test_parameter_outside_its_range_or_combination_is_refused_by_name(bench):
     assert "min_range_m" in refused("preprocess.min_range_m", 900.0)
     assert "did you mean 'svc_paper'" in refused("method", "svc_papr")
     assert "preset" in refused("preset", "lidar_outdoor")
-
-
-def set_parameter(bench, name, value):
-    request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
-    (result,) = call(bench, SetParameters, "set_parameters", request).results
-    assert result.successful, result.reason
 
 
 def test_parameter_change_applies_to_the_next_pair(bench):

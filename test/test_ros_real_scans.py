@@ -53,6 +53,7 @@ def test_plays_real_scans_and_gets_one_decision_a_pair(shared_data, bench):
     assert bench.collector.wait_for_decisions(len(cases), 120.0), bench.process.output()
     bench.settle()
 
+    assert all(d["source_stamp"] and d["target_stamp"] for d in bench.answers.decisions), bench.answers.decisions
     decisions = {round(float(d["source_stamp"])): d for d in bench.answers.decisions}
     assert len(bench.answers.decisions) == len(cases)
     assert sorted(decisions) == list(range(1, len(cases) + 1))
@@ -83,3 +84,4 @@ def test_ctrl_c_in_the_middle_of_a_pair_ends_the_node(shared_data, bench):
     bench.process.interrupt()
     assert bench.process.wait(10.0) == 0, bench.process.output()
     assert time.monotonic() - start < 2.0
+    assert "Traceback" not in bench.process.output()

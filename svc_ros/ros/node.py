@@ -7,9 +7,12 @@ import os
 import signal
 import sys
 from types import FrameType
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from svc_ros.core.errors import SvcError
+
+if TYPE_CHECKING:
+    from svc_ros.ros.registration_node import RegistrationNode
 
 _NO_RCLPY = (
     "registration_node needs rclpy: pip install 'svc_ros[ros]' on a machine without ROS, "
@@ -48,7 +51,7 @@ def _start(args: list[str] | None) -> int:
     return _spin(node)
 
 
-def _spin(node: RegistrationNode) -> int:  # type: ignore[name-defined] # noqa: F821
+def _spin(node: RegistrationNode) -> int:
     import rclpy
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 

@@ -32,7 +32,7 @@ class NodeSettings:
 
     mode: str = "pair"
     max_skew: float = 0.05
-    pair_timeout: float = 2.0
+    pair_timeout: float = 10.0  # a lost part of a big cloud is repaired every 3 s by the middleware
     queue_size: int = 1
     process_every: bool = False
     sensor_frame: str = ""

@@ -139,7 +139,12 @@ class RegistrationNode(Node):
     def _process(self, job: Job) -> None:
         decision = self._registrar.decide(job, self._svc.config)
         self._statistics.count(decision)
-        self._outputs.publish(decision, self._svc.settings)
+        try:
+            self._outputs.publish(decision, self._svc.settings)
+        except Exception:
+            if self.context.ok():
+                raise
+            return  # shut down while this pair was computed: nobody listens any more
         self.get_logger().debug(f"{decision.result.verdict.value}: {decision.result.reason.value}")
 
     def _nearest_guess(self, stamp_ns: int) -> Array | None:
