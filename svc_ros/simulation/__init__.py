@@ -1,1 +1,1 @@
-"""LiDAR ray casting in built scenes with known poses."""
+"""LiDAR scans of built scenes with known poses: the package's own data, nothing to download."""
