@@ -16,6 +16,7 @@ import pytest
 from typer.testing import CliRunner
 
 import svc_ros
+from svc_ros.cli.finding import Finding
 from svc_ros.cli.main import app
 from svc_ros.core.config import PRESETS
 from svc_ros.core.se3 import make_pose, pose_error
@@ -414,3 +415,33 @@ def wait_for_lines(path: Path, count: int, process: subprocess.Popen) -> None:
             return
         time.sleep(0.05)
     pytest.fail(f"no {count} decisions in {path}")
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.999])
+def test_a_truncated_ros1_bag_is_refused(shared_data, tmp_path, share):
+    whole = (shared_data / "bags" / "os0_64_walk" / "ros1_first22.bag").read_bytes()
+    (tmp_path / "cut.bag").write_bytes(whole[: int(share * len(whole))])
+    assert_refused(run("replay", tmp_path / "cut.bag", "--out", tmp_path / "out"), "cut.bag")
+
+
+# --- doctor --------------------------------------------------------------------------------------------------------
+
+
+def test_doctor_looks_at_a_bag(bag):
+    result = run("doctor", bag, "--json", "-")
+    assert result.exit_code == 0
+    report = json.loads(result.stdout)
+    assert report["num_errors"] == 0
+    assert any(f["name"] == "topic /points" for f in report["findings"])
+    assert "/points" in result.stderr
+
+
+def test_doctor_fails_where_something_needed_is_missing(monkeypatch):
+    findings = [Finding("numba", "error", "not installed", "pip install numba"), Finding("scipy", "ok", "1.18")]
+    monkeypatch.setattr("svc_ros.cli.doctor.check_installation", lambda: findings)
+    result = run("doctor")
+    assert result.exit_code == 2
+    assert "pip install numba" in result.stdout
+    assert result.stderr == "error: 1 of 2 checks failed: numba\n"
+    assert_refused(run("doctor", "gone.bag"), "gone.bag")
+    assert_refused(run("doctor", "--topic", "/points"), "--topic")

@@ -2,14 +2,48 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.table import Table
+from rich.text import Text
+
+from svc_ros.cli.console import check_json_target, summary_console, working, write_json
+from svc_ros.cli.exit_codes import BAD_INPUT, print_error
+from svc_ros.cli.finding import Finding
+from svc_ros.cli.options import JsonOption
+
+_STYLES = {"ok": "green", "warn": "yellow", "error": "bold red"}
+
+BagArgument = Annotated[Path | None, typer.Argument(metavar="[BAG]", help="Check this bag; without it, the machine.")]
+TopicOption = Annotated[str | None, typer.Option("--topic", metavar="TOPIC", help="Clouds of this topic only.")]
 
 
-def doctor(bag: Annotated[Path | None, typer.Argument(metavar="[BAG]")] = None) -> None:
-    """Check the installation, or a bag."""
-    from svc_ros.cli.doctor import check_installation
+def doctor(bag: BagArgument = None, topic: TopicOption = None, json_target: JsonOption = None) -> None:
+    """Say what is installed and missing, or what is odd about a bag, and what to do. Exits with 2 on errors."""
+    if topic is not None and bag is None:
+        raise typer.BadParameter("--topic belongs to a BAG")
+    check_json_target(json_target)
+    with working("looking"):
+        from svc_ros.cli.doctor import check_bag, check_installation
 
-    check_installation()
+        findings = check_installation() if bag is None else check_bag(bag, topic)
+    num_errors = sum(finding.level == "error" for finding in findings)
+    write_json({"num_errors": num_errors, "findings": [dataclasses.asdict(f) for f in findings]}, json_target)
+    summary_console(json_target).print(_findings_table(str(bag or "this machine"), findings))
+    if num_errors:
+        failed = ", ".join(finding.name for finding in findings if finding.level == "error")
+        print_error(f"{num_errors} of {len(findings)} checks failed: {failed}")
+        raise typer.Exit(BAD_INPUT)
+
+
+def _findings_table(title: str, findings: Sequence[Finding]) -> Table:
+    table = Table(title=Text(title), title_justify="left")
+    for heading in ("check", "", "found", "what to do"):
+        table.add_column(heading, overflow="fold")
+    for f in findings:
+        table.add_row(Text(f.name), Text(f.level, style=_STYLES[f.level]), Text(f.found), Text(f.advice))
+    return table
