@@ -94,7 +94,7 @@ def write_json(value: Mapping[str, Any], target: str | None) -> None:
 
 def key_value_table(title: str, rows: Mapping[str, Any]) -> Table:
     """A two-column table; floats with five significant digits, None as a dash."""
-    table = Table(title=Text(title), title_justify="left", show_header=False)
+    table = Table(title=Text(title) if title else None, title_justify="left", show_header=False)
     table.add_column(style="bold")
     table.add_column(overflow="fold")
     for name, value in rows.items():

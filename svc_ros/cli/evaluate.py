@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.text import Text
 
 from svc_ros.cli.console import check_json_target, key_value_table, progress, summary_console, write_json
 from svc_ros.cli.options import ConfigOption, JsonOption, MethodOption, PresetOption, resolve_settings
@@ -43,7 +44,7 @@ def evaluate(
 
 def _show_report(console: Console, report: Mapping[str, Any]) -> None:
     title = f"{report['dataset']}: method {report['method']}, preset {report['preset']}"
-    console.print(title, style="bold", soft_wrap=True, markup=False, highlight=False)
+    console.print(Text(title, "bold"), soft_wrap=True)
     sections = {"registration": report["registration"], "negatives": report["negatives"]}
     for name, section in sections.items():
         if section and section["num_pairs"]:

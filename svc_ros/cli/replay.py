@@ -12,6 +12,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.text import Text
 
 from svc_ros.cli.console import key_value_table, make_output_folder, note, progress, summary_console
 from svc_ros.cli.exit_codes import INTERRUPTED
@@ -104,7 +105,9 @@ def replay(
         (out / "config.yaml").write_text(config_to_yaml(settings.config, settings.preset), encoding="utf-8")
         pairs = replay_pairs(bag, chosen, settings.config, stride, sensor_frame)
         tally, interrupted = _write_decisions(pairs, out, max(bag.num_scans(chosen) - stride, 0), truth)
-    summary_console(None).print(key_value_table(f"{bag_path} {chosen}: preset {settings.preset}", tally.rows()))
+    title = f"{bag_path} {chosen}: method {settings.config.method}, preset {settings.preset}"
+    summary_console(None).print(Text(title, "bold"), soft_wrap=True)
+    summary_console(None).print(key_value_table("", tally.rows()))
     if interrupted:
         note(f"interrupted: {out} holds the {tally.verdicts.total()} pairs decided so far")
         raise typer.Exit(INTERRUPTED)
