@@ -445,3 +445,42 @@ def test_doctor_fails_where_something_needed_is_missing(monkeypatch):
     assert result.stderr == "error: 1 of 2 checks failed: numba\n"
     assert_refused(run("doctor", "gone.bag"), "gone.bag")
     assert_refused(run("doctor", "--topic", "/points"), "--topic")
+
+
+# --- simulate ------------------------------------------------------------------------------------------------------
+
+
+def test_a_simulated_drive_can_be_replayed_against_its_reference(tmp_path):
+    done = run("simulate", "--out", tmp_path / "drive", "--scene", "indoor", "--sensor", "VLP-16", "--scans", 3)
+    assert done.exit_code == 0, done.output
+    bag, reference = tmp_path / "drive" / "bag", tmp_path / "drive" / "reference_tum.txt"
+    result = run("replay", bag, *PRESET, "--out", tmp_path / "out", "--reference", reference)
+    assert result.exit_code == 0, result.output
+    rows = read_jsonl(tmp_path / "out" / "decisions.jsonl")
+    assert len(rows) == 2
+    assert all(r["translation_error_m"] < 0.6 for r in rows if r["verdict"] == "accepted")
+    again = run("simulate", "--out", tmp_path / "drive", "--scans", 1)
+    assert_refused(again, "bag", "exists")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--scene", "stret"], ["did you mean 'street'"]),
+        (["--sensor", "OS1-63"], ["did you mean 'OS1-64'"]),
+        (["--scans", "0"], ["--scans"]),
+        (["--rate", "0"], ["rate_hz > 0"]),
+        (["--scans", "3", "--teleport-after", "2"], ["teleport_after"]),
+    ],
+)
+def test_a_drive_that_cannot_be_is_refused_and_leaves_nothing(tmp_path, options, words):
+    assert_refused(run("simulate", "--out", tmp_path / "drive", *options), *words)
+    assert not (tmp_path / "drive").exists()
+
+
+def test_the_help_of_simulate_names_every_scene_and_sensor():
+    from svc_ros.cli import simulate
+    from svc_ros.simulation import SCENES, SENSORS
+
+    assert simulate._SCENES.split(", ") == list(SCENES)
+    assert simulate._SENSORS.split(", ") == list(SENSORS)

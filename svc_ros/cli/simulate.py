@@ -7,9 +7,57 @@ from typing import Annotated
 
 import typer
 
+from svc_ros.cli.console import key_value_table, make_output_folder, progress, summary_console
 
-def simulate(out: Annotated[Path, typer.Option("--out", metavar="DIR")]) -> None:
+# The names stand here as text, because the modules that know them are slow to import; a test compares.
+_SCENES = "street, indoor, corridor, corridor_features"
+_SENSORS = "VLP-16, HDL-32E, HDL-64E, OS1-64, OS0-64, OS1-128"
+
+OutOption = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for bag/ and reference_tum.txt.")]
+SceneOption = Annotated[str, typer.Option("--scene", metavar="NAME", help=f"{_SCENES}.")]
+SensorOption = Annotated[str, typer.Option("--sensor", metavar="NAME", help=f"{_SENSORS}.")]
+ScansOption = Annotated[int, typer.Option("--scans", min=1, metavar="N", help="Scans of the drive.")]
+SeedOption = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Of the world and of the noise.")]
+SpacingOption = Annotated[
+    float | None, typer.Option("--spacing", min=0.0, metavar="M", help="Metres between scans; by the scene if absent.")
+]
+RateOption = Annotated[float, typer.Option("--rate", metavar="HZ", help="Scans a second.")]
+MovingOption = Annotated[
+    float, typer.Option("--moving-share", min=0.0, max=1.0, metavar="SHARE", help="Share of cars and people that move.")
+]
+TeleportOption = Annotated[
+    int | None,
+    typer.Option("--teleport-after", min=0, metavar="K", help="Another world after scan K: no alignment there."),
+]
+
+
+def simulate(
+    out: OutOption,
+    scene: SceneOption = "street",
+    sensor: SensorOption = "OS1-64",
+    scans: ScansOption = 20,
+    seed: SeedOption = 0,
+    spacing: SpacingOption = None,
+    rate: RateOption = 2.0,
+    moving_share: MovingOption = 0.15,
+    teleport_after: TeleportOption = None,
+) -> None:
     """Simulate a LiDAR drive and write it as a ROS 2 bag with its reference trajectory."""
-    from svc_ros.simulation import simulate_drive
+    from svc_ros.simulation import DriveConfig, simulate_drive
 
-    simulate_drive(out)
+    config = DriveConfig(
+        scene=scene, sensor=sensor, num_scans=scans, spacing_m=spacing, rate_hz=rate, seed=seed,
+        moving_share=moving_share, teleport_after=teleport_after,
+    )  # fmt: skip
+    make_output_folder(out)
+    with progress(f"driving through {scene}") as on_progress:
+        summary = simulate_drive(out, config, on_progress)
+    rows = {
+        "bag": summary.bag,
+        "reference, poses of the sensor": summary.reference,
+        "scans": summary.num_scans,
+        "points": summary.num_points,
+        "way [m]": summary.length_m,
+        "duration [s]": summary.duration_s,
+    }
+    summary_console(None).print(key_value_table(f"{scene} seen by {sensor}", rows))
