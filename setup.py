@@ -57,6 +57,7 @@ setup(
         f"open3d>=0.18; {FULL_OPEN3D}",
         "rosbags>=0.11",
         "kiss-icp>=1.2",
+        "small-gicp>=1.0",
         "pyyaml>=6.0",
         "typer>=0.12",
         "rich>=13",
@@ -66,6 +67,8 @@ setup(
         "test": [
             "pytest>=8",
             "hypothesis>=6.100",
+            "packaging>=23",
+            "mcap>=1.2",
             "colcon-core>=0.18",
             "colcon-ros>=0.5",
             "colcon-python-setup-py>=0.2.9",

@@ -55,7 +55,7 @@ class TestInstallation:
     def test_this_environment_has_what_is_required(self) -> None:
         findings = check_installation()
         assert [f for f in findings if f.level == "error"] == []
-        required = {"Python", "numpy", "scipy", "numba", "open3d", "kiss_icp", "rosbags", "yaml", "matplotlib"}
+        required = {"Python", "numpy", "scipy", "numba", "open3d", "kiss_icp", "small_gicp", "rosbags", "yaml"}
         assert required <= {f.name for f in findings}
         assert named(findings, "numpy").found == np.__version__
 

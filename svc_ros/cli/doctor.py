@@ -30,6 +30,7 @@ _REQUIRED = {  # module -> how to install it
     "numba": "pip install numba",
     "open3d": "pip install open3d-cpu (x86-64 Linux) or pip install open3d",
     "kiss_icp": "pip install kiss-icp",
+    "small_gicp": "pip install small-gicp",
     "rosbags": "pip install 'rosbags>=0.11'",
     "yaml": "pip install pyyaml",
     "matplotlib": "pip install matplotlib",
@@ -37,7 +38,6 @@ _REQUIRED = {  # module -> how to install it
 _OPTIONAL = {  # module -> what it is for, how to install it
     "laspy": ("LAS and LAZ scans", "pip install 'laspy[lazrs]'"),
     "plotly": ("HTML reports", "pip install plotly"),
-    "small_gicp": ("comparisons", "pip install small-gicp"),
     "kiss_matcher": ("comparisons", "pip install kiss-matcher"),
 }
 _DISTRIBUTIONS = {"open3d": ("open3d", "open3d-cpu"), "yaml": ("pyyaml",)}
