@@ -38,7 +38,7 @@ def shared_files() -> list:
 setup(
     name=PACKAGE,
     version=read_version(),
-    description="Global registration of LiDAR scans with a verdict from sight lines, for ROS 2 and for the command line",
+    description="Global registration of LiDAR scans with a verdict from sight lines, for ROS 2 and the command line",
     long_description="Registers two point clouds from any starting pose and says whether the answer can be trusted.",
     license="Apache-2.0",
     author="The svc_ros authors",
