@@ -12,8 +12,9 @@ def compute_features(prepared: PreparedScan, config: Config) -> Features:
     """Describe every prepared point by its FPFH (K, 33), L2-normalised; a point without neighbours gets zeros."""
     import open3d as o3d
 
-    cloud = o3d.t.geometry.PointCloud(o3d.core.Tensor(np.ascontiguousarray(prepared.points)))
-    cloud.point.normals = o3d.core.Tensor(np.ascontiguousarray(prepared.normals))
+    tensor = o3d.core.Tensor.from_numpy  # shares memory and asks for arrays that may be written to: hence the copies
+    cloud = o3d.t.geometry.PointCloud(tensor(prepared.points.copy()))
+    cloud.point.normals = tensor(prepared.normals.copy())
     # The tensor API takes half the time of the legacy one and releases the GIL.
     histogram = o3d.t.pipelines.registration.compute_fpfh_feature(
         cloud, max_nn=config.features.max_neighbours, radius=config.feature_radius_m

@@ -123,7 +123,7 @@ def second_order_row(seed, loose, tight, row):  # type: ignore[no-untyped-def]
 
 @_jit
 def largest(row, order, k):  # type: ignore[no-untyped-def]
-    """Write the indices of the k largest positive entries into order (k,), ties to the smaller index; return how many."""
+    """Write the indices of the k largest positive entries into order (k,), ties to the smaller one; return how many."""
     found = 0
     for j in range(row.shape[0]):
         value = row[j]
@@ -209,7 +209,7 @@ def set_weights(sets, sizes, x, y, threshold, rounds, weights):  # type: ignore[
 
 @_jit
 def score_poses(T, x, y, threshold, num_inliers, mae, mse):  # type: ignore[no-untyped-def]
-    """Per pose (H,): inliers e < threshold, and the sums of 1 - e / threshold and of (1 - e / threshold)^2 over them."""
+    """Per pose (H,): inliers e < threshold, and the sums over them of 1 - e / threshold and of its square."""
     sq_threshold = threshold * threshold
     for h in range(T.shape[0]):
         count, absolute, squared = 0, 0.0, 0.0

@@ -30,9 +30,9 @@ class RadiusGrid:
         sight_kernels.fill_keys(points, 1.0 / radius_m, keys)
         order = np.argsort(keys, kind="stable")
         capacity = 1 << max(4, int(2 * max(len(points), 1) - 1).bit_length())
-        table = [np.empty(capacity, np.int64) for _ in range(3)]
-        sight_kernels.fill_hash(keys[order], *table)
-        return cls(np.ascontiguousarray(points[order]), order, *table, radius_m)
+        table_keys, table_start, table_end = (np.empty(capacity, np.int64) for _ in range(3))
+        sight_kernels.fill_hash(keys[order], table_keys, table_start, table_end)
+        return cls(np.ascontiguousarray(points[order]), order, table_keys, table_start, table_end, radius_m)
 
     def nearest(self, queries: Array) -> IndexArray:
         """Index (M,) of the nearest point within the radius of each query (M, 3), -1 where there is none."""
@@ -67,9 +67,8 @@ class DirectionGrid:
         sight_kernels.fill_direction_cells(relative_points, rows, columns, cells)
         order = np.argsort(cells, kind="stable")
         starts = np.concatenate(([0], np.cumsum(np.bincount(cells, minlength=rows * columns))))
-        return cls(
-            np.ascontiguousarray(relative_points[order]), np.ascontiguousarray(normals[order]), order, starts, rows, columns
-        )
+        points, normals = (np.ascontiguousarray(a[order]) for a in (relative_points, normals))
+        return cls(points, normals, order, starts, rows, columns)
 
 
 def radius_grid(scan: PreparedScan, radius_m: float) -> RadiusGrid:

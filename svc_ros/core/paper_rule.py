@@ -22,9 +22,10 @@ def find_blocked(observer: PreparedScan, other_points: Array, config: PaperConfi
     placed, own = other_points[alone] - observer.sensor_origin, observer.points - observer.sensor_origin
     if len(alone) == 0:
         return SightLines(len(own), 0, np.zeros(0, np.int64), np.zeros(0, np.int64))
-    placed_range, own_range = np.linalg.norm(placed, axis=1), np.linalg.norm(own, axis=1)
+    # A point at the very origin has no direction; it keeps a finite one that is near no other.
+    placed_range, own_range = (np.maximum(np.linalg.norm(a, axis=1), 1e-12) for a in (placed, own))
     placed_direction, own_direction = placed / placed_range[:, None], own / own_range[:, None]
-    _, nearest = cKDTree(placed_direction).query(own_direction)
+    nearest = np.asarray(cKDTree(placed_direction).query(own_direction)[1])
     cosine = np.einsum("ij,ij->i", own_direction, placed_direction[nearest])
     in_roi = cosine > config.cone_cosine
     blocked = np.flatnonzero(in_roi & (own_range - placed_range[nearest] > config.tolerance_m))
@@ -48,4 +49,5 @@ def passes(lines: SightLines, config: PaperConfig) -> bool:
 def _tree(scan: PreparedScan) -> cKDTree:
     if "kd_tree" not in scan.memo:
         scan.memo["kd_tree"] = cKDTree(scan.points)
-    return scan.memo["kd_tree"]
+    tree: cKDTree = scan.memo["kd_tree"]
+    return tree

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from svc_ros.core.config import PreprocessConfig
-from svc_ros.core.errors import TooFewPointsError
-from svc_ros.core.scan import Array, PreparedScan, Scan
+from svc_ros.core.errors import ConfigError, TooFewPointsError
+from svc_ros.core.scan import Array, IndexArray, PreparedScan, Scan
+
+_FRACTION_STEPS = 2.0**32  # a point's place inside its voxel, in steps of a nanometre or less
 
 
 def preprocess(scan: Scan, config: PreprocessConfig) -> PreparedScan:
@@ -18,33 +21,48 @@ def preprocess(scan: Scan, config: PreprocessConfig) -> PreparedScan:
     points = thin_on_voxel_grid(cropped, config.voxel_size_m)
     if len(points) < config.min_points:
         raise TooFewPointsError(
-            f"scan {scan.frame_id!r} at {scan.stamp_ns} ns: expected at least {config.min_points} points after the range "
-            f"crop ({config.min_range_m:g}-{config.max_range_m:g} m) and the voxel grid ({config.voxel_size_m:g} m), "
-            f"found {len(points)} (of {len(scan.points)} raw points, {len(cropped)} in range)"
+            f"scan {scan.frame_id!r} at {scan.stamp_ns} ns: expected at least {config.min_points} points after "
+            f"the range crop ({config.min_range_m:g}-{config.max_range_m:g} m) and the voxel grid "
+            f"({config.voxel_size_m:g} m), found {len(points)} (of {len(scan)} raw points, {len(cropped)} in range)"
         )
     normals = estimate_normals(points, scan.sensor_origin, config)
     return PreparedScan(points, normals, scan.sensor_origin, config.voxel_size_m, scan.stamp_ns, scan.frame_id)
 
 
 def crop_range(points: Array, sensor_origin: Array, config: PreprocessConfig) -> Array:
-    """Keep the points (N, 3) [m] whose range from the sensor lies within the configured limits."""
+    """Keep the points (N, 3) [m] whose range from the sensor lies within the configured limits and is not zero."""
     sq_range = np.square(points - sensor_origin).sum(1)
-    keep = (sq_range >= config.min_range_m**2) & (sq_range <= config.max_range_m**2)
+    keep = (sq_range >= config.min_range_m**2) & (sq_range <= config.max_range_m**2) & (sq_range > 0)
     return points[keep]
 
 
 def thin_on_voxel_grid(points: Array, voxel_size_m: float) -> Array:
-    """Mean point of every occupied voxel, (K, 3) [m], in an order that does not depend on the input's order.
+    """Mean point of every occupied voxel, (K, 3) [m], the same bits whatever the order of the points.
 
-    Open3D's tensor grid is not used: its parallel hash map changes the order of points from run to run.
+    Open3D's grids are not used: one sums up in input order, the other changes the order of points from run to run.
+    Raises ConfigError where the voxels are too small to be counted over the scan's extent.
     """
-    import open3d as o3d
-
     if len(points) == 0:
         return np.zeros((0, 3))
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
-    thinned = np.asarray(cloud.voxel_down_sample(voxel_size_m).points)
+    corner = points.min(0) - 0.5 * voxel_size_m
+    position = (points - corner) / voxel_size_m
+    cell = np.floor(position)
+    key = _cell_numbers(cell.astype(np.int64), voxel_size_m)
+    _, first, row = np.unique(key, return_index=True, return_inverse=True)
+    # Sums of whole numbers below 2^53 are exact, so that their order does not matter.
+    fraction = np.rint((position - cell) * _FRACTION_STEPS)
+    sums = np.stack([np.bincount(row, fraction[:, axis], len(first)) for axis in range(3)], 1)
+    mean = sums / (_FRACTION_STEPS * np.bincount(row)[:, None])
+    thinned = corner + voxel_size_m * (cell[first] + mean)
     return thinned[np.lexsort(thinned.T)]
+
+
+def _cell_numbers(cell: IndexArray, voxel_size_m: float) -> IndexArray:
+    """One number (N,) for each cell (N, 3), counted through the box around all of them."""
+    extent = cell.max(0) + 1
+    if np.prod(extent.astype(np.float64)) >= 2.0**62:
+        raise ConfigError(f"preprocess.voxel_size_m: {voxel_size_m:g} m is too small for a scan of {extent} voxels")
+    return np.asarray((cell[:, 0] * extent[1] + cell[:, 1]) * extent[2] + cell[:, 2])
 
 
 def estimate_normals(points: Array, sensor_origin: Array, config: PreprocessConfig) -> Array:
@@ -54,13 +72,25 @@ def estimate_normals(points: Array, sensor_origin: Array, config: PreprocessConf
     """
     import open3d as o3d
 
-    cloud = o3d.t.geometry.PointCloud(o3d.core.Tensor(np.ascontiguousarray(points)))
+    cloud = o3d.t.geometry.PointCloud(o3d.core.Tensor.from_numpy(np.array(points, np.float64, order="C")))
     cloud.estimate_normals(max_nn=config.normal_max_neighbours, radius=config.normal_radius_m)
-    normals = cloud.point.normals.numpy().astype(np.float64, copy=True)
+    normals: Array = cloud.point.normals.numpy().astype(np.float64, copy=True)
     to_sensor = sensor_origin - points
     to_sensor /= np.maximum(np.linalg.norm(to_sensor, axis=1, keepdims=True), 1e-12)
-    no_plane = ~np.isfinite(normals).all(1) | (normals == (0.0, 0.0, 1.0)).all(1)  # Open3D's answer without neighbours
+    no_plane = _find_without_plane(points, normals, config.normal_radius_m)
     normals[no_plane] = to_sensor[no_plane]
     away = np.einsum("ij,ij->i", normals, to_sensor) < 0
     normals[away] *= -1.0
     return normals
+
+
+def _find_without_plane(points: Array, normals: Array, radius_m: float) -> IndexArray:
+    """Indices of points with fewer than three neighbours, themselves included.
+
+    Open3D answers (0, 0, 1) for them, and for every point of a level floor as well: those must be told apart.
+    """
+    suspects = np.flatnonzero(~np.isfinite(normals).all(1) | (np.abs(normals[:, 2]) == 1.0))
+    if len(suspects) == 0:
+        return suspects
+    num_near = cKDTree(points).query_ball_point(points[suspects], radius_m, return_length=True)
+    return suspects[np.asarray(num_near) < 3]

@@ -54,7 +54,9 @@ def dilated_cells(scan: PreparedScan, edge_m: float) -> DilatedCells:
     return cells
 
 
-def prescore(T: Array, source: PreparedScan, target: PreparedScan, edge_m: float, num_points: int) -> NDArray[np.float64]:
+def prescore(
+    T: Array, source: PreparedScan, target: PreparedScan, edge_m: float, num_points: int
+) -> NDArray[np.float64]:
     """Share (H,) of about `num_points` source points that each pose (H, 4, 4) puts on agreeing target surface."""
     cells = dilated_cells(target, edge_m)
     sample = thin_evenly(len(source), num_points)

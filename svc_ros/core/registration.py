@@ -42,10 +42,11 @@ def register(
     # Describe every point and match the descriptors.
     if correspondences is None:
         with watch.stage("features"):
-            source_features, target_features = _described(source, source_scan, config), _described(target, target_scan, config)
+            source_features = _described(source, source_scan, config)
+            target_features = _described(target, target_scan, config)
         with watch.stage("matching"):
             correspondences = match(source_features, target_features, config.matching)
-    counts = {"source_points": len(source_scan), "target_points": len(target_scan), "correspondences": len(correspondences)}
+    counts = _count_points(source_scan, target_scan) | {"correspondences": len(correspondences)}
     if len(correspondences) < config.matching.min_correspondences:
         detail = f"{len(correspondences)} correspondences, at least {config.matching.min_correspondences} are needed"
         return _unanswered(Reason.TOO_FEW_CORRESPONDENCES, detail, config, counts, watch)
@@ -61,14 +62,17 @@ def register(
 
 
 def verify(
-    source: Scan | PreparedScan | Features, target: Scan | PreparedScan | Features, T_target_source: ArrayLike, config: Config
+    source: Scan | PreparedScan | Features,
+    target: Scan | PreparedScan | Features,
+    T_target_source: ArrayLike,
+    config: Config,
 ) -> RegistrationResult:
     """Judge a pose that somebody else found. It is refined first, within bounds; raises InputError if it is no pose."""
     watch = Stopwatch()
     T = nearest_pose(check_pose(T_target_source))
     with watch.stage("prepare"):
         source_scan, target_scan = _prepared(source, config), _prepared(target, config)
-    counts = {"source_points": len(source_scan), "target_points": len(target_scan)}
+    counts = _count_points(source_scan, target_scan)
     return selection.VERIFIERS[config.method](selection.Pair(source_scan, target_scan, config, counts, watch), T)
 
 
@@ -80,6 +84,10 @@ def _prepared(scan: Scan | PreparedScan | Features, config: Config) -> PreparedS
 
 def _described(given: Scan | Features, prepared: PreparedScan, config: Config) -> Features:
     return given if isinstance(given, Features) else compute_features(prepared, config)
+
+
+def _count_points(source: PreparedScan, target: PreparedScan) -> dict[str, int]:
+    return {"source_points": len(source), "target_points": len(target)}
 
 
 def _unanswered(

@@ -19,9 +19,12 @@ def _zero_origin() -> Array:
     return np.zeros(3)
 
 
-def frozen_array(value: ArrayLike, dtype: type, name: str, shape: tuple[int | None, ...]) -> NDArray:  # type: ignore[type-arg]
+def frozen_array(value: ArrayLike, dtype: type, name: str, shape: tuple[int | None, ...]) -> NDArray[Any]:
     """Return a read-only view (or converted copy) of `value`; None in `shape` leaves that axis free."""
-    array = np.ascontiguousarray(value, dtype)
+    try:
+        array: NDArray[Any] = np.ascontiguousarray(value, dtype)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: expected an array of numbers, found {value!r:.80}") from None
     if array.ndim != len(shape) or any(e is not None and e != n for e, n in zip(shape, array.shape, strict=True)):
         expected = " x ".join("N" if e is None else str(e) for e in shape)
         raise InputError(f"{name}: expected shape {expected}, found {array.shape}")
@@ -133,8 +136,9 @@ class Correspondences:
     @classmethod
     def from_points(cls, source_points: ArrayLike, target_points: ArrayLike) -> Correspondences:
         """Wrap correspondences computed elsewhere (learned descriptors): two (C, 3) arrays [m]."""
-        source = np.asarray(source_points, np.float64)
-        return cls(source, np.asarray(target_points, np.float64), np.zeros(len(source)))
+        source = frozen_array(source_points, np.float64, "source_points", (None, 3))
+        target = frozen_array(target_points, np.float64, "target_points", (len(source), 3))
+        return cls(source, target, np.zeros(len(source)))
 
     def __len__(self) -> int:
         return len(self.source_points)

@@ -46,9 +46,7 @@ def rotate(T: ArrayLike, vectors: ArrayLike) -> Array:
 def rotation_angle_deg(R: ArrayLike) -> Array:
     """Angle [deg] of rotations (..., 3, 3), exact near 0 and near 180 deg."""
     R = np.asarray(R, np.float64)
-    vee = np.stack(
-        [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1
-    )
+    vee = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
     sine = 0.5 * np.linalg.norm(vee, axis=-1)
     cosine = 0.5 * (np.trace(R, axis1=-2, axis2=-1) - 1.0)
     return np.asarray(np.degrees(np.arctan2(sine, cosine)))
