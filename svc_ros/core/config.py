@@ -118,6 +118,8 @@ class ShortlistConfig(_Group):
     prescore_points: int = _value(500, "source points of the cheap look", "", 10, 100_000)
     distinct_rotation_deg: float = _value(5.0, "poses farther apart than this are distinct", "deg", 0.0, 180.0)
     distinct_translation_m: float = _value(1.0, "poses farther apart than this are distinct", "m", 0.0, 100.0)
+    max_moved_rotation_deg: float = _value(6.0, "a given pose that refinement turns by more was not right", "deg", 0.0, 180.0)
+    max_moved_translation_m: float = _value(0.72, "a given pose that refinement moves by more was not right", "m", 0.0, 100.0)
     correspondence_rounds: int = _value(20, "rounds of weighted Kabsch on the correspondences", "", 0, 100)
     correspondence_eps_m: float = _value(1.2, "residual at which a weight is one half (eps)", "m", 1e-3, 10.0)
     icp_rounds: int = _value(12, "rounds of point-to-plane ICP", "", 0, 200)
@@ -131,7 +133,7 @@ class SightViewConfig(_Group):
 
     tolerance_m: float = _value(0.6, "range and overlap tolerance (tau)", "m", 1e-3, 10.0)
     beam_radius_voxels: float = _value(0.5, "a point blocks a line that passes within this of it", "voxels", 0.05, 5.0)
-    max_cone_deg: float = _value(3.0, "cap of the cone's half angle near the sensor (theta)", "deg", 0.05, 45.0)
+    max_cone_deg: float = _value(0.5, "cap of the cone's half angle near the sensor (theta)", "deg", 0.05, 45.0)
     max_incidence_deg: float = _value(85.0, "cap of the angle between ray and normal (phi)", "deg", 0.0, 89.9)
     same_side_cosine: float = _value(0.3, "normals agree above this, are opposed below its negative", "", 0.0, 1.0)
 
@@ -151,7 +153,7 @@ class DecisionConfig(_Group):
     """When a refined pose is accepted, rejected or left undecided."""
 
     min_oriented_overlap: float = _value(0.10, "less oriented overlap is low_overlap", "", 0.0, 1.0)
-    max_blocked_per_overlap: float = _value(0.10, "blocked share over oriented overlap", "", 0.0, 10.0)
+    max_blocked_per_overlap: float = _value(0.085, "blocked share over oriented overlap", "", 0.0, 10.0)
     max_opposed_per_overlap: float = _value(0.60, "opposed share over oriented overlap", "", 0.0, 10.0)
 
 
@@ -246,6 +248,8 @@ PRESETS: dict[str, Config] = {
             "preprocess.min_range_m": 0.5,
             "preprocess.max_range_m": 60.0,
             "sight_view.tolerance_m": 0.4,
+            "sight_view.max_cone_deg": 1.0,
+            "decision.max_blocked_per_overlap": 0.05,
         },
     ),
     "rgbd_indoor": with_values(
@@ -258,6 +262,8 @@ PRESETS: dict[str, Config] = {
             "hypotheses.nms_radius_m": 0.1,
             "shortlist.distinct_rotation_deg": 10.0,
             "shortlist.distinct_translation_m": 0.3,
+            "shortlist.max_moved_rotation_deg": 18.0,
+            "shortlist.max_moved_translation_m": 0.36,
             "shortlist.correspondence_eps_m": 0.1,
             "shortlist.icp_distance_m": 0.15,
             "shortlist.prescore_cell_m": 0.1,

@@ -40,3 +40,9 @@ def decide(evidence: SightViewEvidence, config: DecisionConfig) -> Decision:
         detail = f"surfaces seen from both sides: {evidence.opposed_ratio:.3f} against oriented overlap {oriented:.3f}"
         return Decision(Verdict.REJECTED, Reason.SIGHT_VIEW_BLOCKED, probability, detail)
     return Decision(Verdict.ACCEPTED, Reason.OK, probability, "free sight lines and enough agreeing surface")
+
+
+def moved_away(angle_deg: float, distance_m: float) -> Decision:
+    """The answer on a given pose that refinement did not leave where it was."""
+    detail = f"refinement moved the pose by {angle_deg:.2f} deg and {distance_m:.2f} m: a different pose fits better"
+    return Decision(Verdict.REJECTED, Reason.AMBIGUOUS, 0.0, detail)

@@ -109,14 +109,16 @@ def choose_svc(pair: Pair, correspondences: Correspondences, hypotheses: Hypothe
 
 
 def verify_svc(pair: Pair, T: Array) -> RegistrationResult:
-    """Refine the pose, unless that moves it away from what was asked, and judge it."""
+    """Refine the pose and judge it; one that refinement moves away is not the pose that was asked about."""
     refined = pair.refine(T, len(pair.source)).T_target_source
     angle, distance = pose_error(refined, T)
     limits = pair.config.shortlist
-    moved_away = angle > limits.distinct_rotation_deg or distance > limits.distinct_translation_m
-    judged = T if moved_away else refined
-    evidence = pair.look(judged)
-    return pair.answer(judged, evidence, decision.decide(evidence, pair.config.decision))
+    evidence = pair.look(refined)
+    decided = decision.decide(evidence, pair.config.decision)
+    if angle > limits.max_moved_rotation_deg or distance > limits.max_moved_translation_m:
+        decided = decision.moved_away(angle, distance)
+        return pair.answer(T, pair.look(T), decided)
+    return pair.answer(refined, evidence, decided)
 
 
 Chooser = Callable[[Pair, Correspondences, HypothesisSet], RegistrationResult]
