@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rich import box
 from rich.table import Table
 
 from svc_ros.core.errors import InputError
@@ -22,9 +23,10 @@ _COLOURS = {"accepted": "green", "rejected": "red", "undecided": "yellow", "drop
 
 @dataclass(frozen=True, eq=False)
 class ExpectedPair:
-    """A pair that is going to be played: its stamp as the decision tells it, and where the source really is."""
+    """A pair that is going to be played: the stamps [ns] that were recorded, and where the source really is."""
 
     source_stamp_ns: int
+    target_stamp_ns: int
     source_index: int
     target_index: int
     T_target_source: Array
@@ -51,7 +53,7 @@ class JudgedPair:
 def expected_pairs(stamps_ns: NDArray[np.int64], poses: Array, stride: int) -> list[ExpectedPair]:
     """Pairs that the player makes of scans with these stamps (N,) and world poses (N, 4, 4)."""
     return [
-        ExpectedPair(int(stamps_ns[k + stride]), k + stride, k, invert(poses[k]) @ poses[k + stride])
+        ExpectedPair(int(stamps_ns[k + stride]), int(stamps_ns[k]), k + stride, k, invert(poses[k]) @ poses[k + stride])
         for k in range(len(stamps_ns) - stride)
     ]
 
@@ -96,20 +98,22 @@ def verdict_on(judged: list[JudgedPair]) -> str | None:
 
 def decisions_table(judged: list[JudgedPair]) -> Table:
     """The decisions for a person."""
-    table = Table(title="decisions of /svc_registration", caption="errors against the simulated reference")
-    for name in ("source", "target", "verdict", "reason"):
-        table.add_column(name)
-    for name in ("moved m", "error deg", "error m", "overlap", "blocked", "ms"):
-        table.add_column(name, justify="right")
+    caption = "deg off, m off: distance of the candidate pose from the simulated truth"
+    table = Table(title="decisions of /svc_registration", caption=caption, box=box.SIMPLE_HEAD, pad_edge=False)
+    table.padding = (0, 1, 0, 0)
+    table.add_column("scans", no_wrap=True)
+    for name in ("verdict", "reason"):
+        table.add_column(name, no_wrap=True)
+    for name in ("deg off", "m off", "overlap", "blocked", "ms"):
+        table.add_column(name, justify="right", no_wrap=True)
     for j in judged:
         evidence = j.result.evidence.numbers() if j.result.evidence is not None else {}
         blocked = [evidence[name] for name in evidence if name.startswith("blocked_ratio")]
         colour = "bold white on red" if j.is_wrong else _COLOURS[j.result.verdict.value]
         table.add_row(
-            str(j.pair.source_index), str(j.pair.target_index),
+            f"{j.pair.source_index} to {j.pair.target_index}",
             f"[{colour}]{j.result.verdict.value}[/]", j.result.reason.value,
-            f"{np.linalg.norm(j.pair.T_target_source[:3, 3]):.2f}",
-            _number(j.rotation_error_deg, 2), _number(j.translation_error_m, 3),
+            _number(j.rotation_error_deg, 2), _number(j.translation_error_m, 2),
             _number(evidence.get("oriented_overlap_ratio"), 2), _number(max(blocked, default=None), 3),
             _number(j.result.time_ms.get("total"), 0),
         )  # fmt: skip
@@ -124,7 +128,7 @@ def record_of(judged: JudgedPair) -> dict[str, Any]:
         source_index=pair.source_index,
         target_index=pair.target_index,
         source_stamp_ns=pair.source_stamp_ns,
-        target_stamp_ns=ns_from_text(judged.values["target_stamp"] or judged.values["source_stamp"]),
+        target_stamp_ns=pair.target_stamp_ns,
         rotation_error_deg=judged.rotation_error_deg,
         translation_error_m=judged.translation_error_m,
     )
