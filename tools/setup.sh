@@ -40,7 +40,7 @@ else
 fi
 
 pip_install() {
-  .venv/bin/python -m pip install --quiet --disable-pip-version-check -c "$pins" "$@" </dev/null
+  .venv/bin/python -m pip install -qq --disable-pip-version-check -c "$pins" "$@" </dev/null
 }
 echo "installing into .venv (versions of $pins)"
 pip_install setuptools
