@@ -12,7 +12,7 @@ import sys
 import time
 from array import array
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from itertools import islice
 from typing import Any
 
@@ -130,7 +130,7 @@ def _play(options: argparse.Namespace) -> int:
     return 0
 
 
-def _recorded_pairs(options: argparse.Namespace) -> Iterator[tuple[PointCloud2, PointCloud2]]:
+def _recorded_pairs(options: argparse.Namespace) -> Generator[tuple[PointCloud2, PointCloud2], None, None]:
     from svc_ros.io.bags import Bag
 
     with Bag(options.bag) as bag:
