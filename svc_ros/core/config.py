@@ -244,9 +244,17 @@ PRESETS: dict[str, Config] = {
     "lidar_indoor": with_values(
         Config(),
         {
-            "preprocess.voxel_size_m": 0.3,
+            "preprocess.voxel_size_m": 0.4,
             "preprocess.min_range_m": 0.5,
             "preprocess.max_range_m": 60.0,
+            "preprocess.normal_radius_voxels": 3.0,
+            "preprocess.normal_max_neighbours": 100,
+            "features.radius_voxels": 6.0,
+            "features.max_neighbours": 400,
+            "hypotheses.compatibility_threshold_m": 0.2,
+            "hypotheses.nms_radius_m": 0.1,
+            "hypotheses.seed_ratio": 1.0,
+            "shortlist.max_poses": 20,
             "sight_view.tolerance_m": 0.4,
             "sight_view.max_cone_deg": 1.0,
             "decision.max_blocked_per_overlap": 0.05,
