@@ -1,0 +1,112 @@
+"""Matches equal those of the full distance matrix, for every strategy and every awkward size."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import reference
+
+from svc_ros.core import matching
+from svc_ros.core.config import MatchingConfig
+from svc_ros.core.scan import Features, PreparedScan
+
+RNG = np.random.default_rng(11)
+CONFIG = MatchingConfig(max_correspondences=100_000)
+
+
+def described(descriptors: np.ndarray) -> Features:
+    points = np.arange(3.0 * len(descriptors)).reshape(-1, 3)
+    return Features(PreparedScan(points, np.tile((0.0, 0, 1), (len(points), 1)), np.zeros(3), 0.3), descriptors)
+
+
+def unit_rows(num: int, length: int = 33, signed: bool = False) -> np.ndarray:
+    rows = RNG.normal(size=(num, length)) if signed else RNG.random((num, length)) ** 4
+    return (rows / np.linalg.norm(rows, axis=1, keepdims=True)).astype(np.float32)
+
+
+def pairs_of(found, source: Features, target: Features) -> list[tuple[int, int]]:
+    """Indices again: point k of `described` starts with 3 k."""
+    return [(int(s[0] / 3), int(t[0] / 3)) for s, t in zip(found.source_points, found.target_points, strict=True)]
+
+
+@pytest.mark.parametrize("signed", [False, True])
+@pytest.mark.parametrize(("num_a", "num_b"), [(1, 1), (1, 300), (300, 1), (63, 120), (64, 121), (65, 119), (300, 400)])
+def test_nearest_of_all_equals_the_full_matrix(num_a, num_b, signed):
+    a, b = unit_rows(num_a, signed=signed), unit_rows(num_b, signed=signed)
+    index, distance, second = reference.nearest_descriptors(a, b)
+    found = matching.find_nearest(a, b, with_ratio=True)
+    np.testing.assert_array_equal(found.index, index)
+    np.testing.assert_array_equal(found.back, reference.nearest_descriptors(b, a)[0])
+    np.testing.assert_allclose(found.distance, distance, atol=1e-5)
+    np.testing.assert_allclose(found.ratio, distance / second, atol=1e-4)
+
+
+@pytest.mark.parametrize("length", [1, 3, 32, 128, 5000])
+def test_descriptors_of_any_length(length):
+    a, b = unit_rows(70, length, signed=True), unit_rows(90, length, signed=True)
+    np.testing.assert_array_equal(matching.find_nearest(a, b).index, reference.nearest_descriptors(a, b)[0])
+
+
+def test_many_tiles_in_both_directions(monkeypatch):
+    monkeypatch.setattr(matching, "_ROWS", 7)
+    monkeypatch.setattr(matching, "_PANELS", 2)
+    monkeypatch.setattr(matching, "_MAX_MULTIPLICATIONS", 7 * 33 * 8)
+    a, b = unit_rows(60), unit_rows(77)
+    found = matching.find_nearest(a, b, with_ratio=True)
+    index, distance, second = reference.nearest_descriptors(a, b)
+    np.testing.assert_array_equal(found.index, index)
+    np.testing.assert_array_equal(found.back, reference.nearest_descriptors(b, a)[0])
+    np.testing.assert_allclose(found.ratio, distance / second, atol=1e-4)
+
+
+def test_of_equal_descriptors_the_first_is_taken():
+    row = unit_rows(1)
+    a, b = np.repeat(row, 200, 0), np.repeat(row, 500, 0)
+    found = matching.find_nearest(a, b)
+    assert not found.index.any()
+    assert not found.back.any()
+    assert found.mutual().tolist() == [0]
+
+
+def test_strategies_keep_what_they_promise():
+    source, target = described(unit_rows(200)), described(unit_rows(260))
+    a, b = source.descriptors, target.descriptors
+    nearest, distance, second = reference.nearest_descriptors(a, b)
+    mutual = reference.mutual_matches(a, b)
+    rows = [i for i, _ in mutual]
+    one_way = matching.match(source, target, dataclasses.replace(CONFIG, strategy="one_way"))
+    assert pairs_of(one_way, source, target) == list(enumerate(nearest))
+    both = matching.match(source, target, dataclasses.replace(CONFIG, strategy="mutual"))
+    assert pairs_of(both, source, target) == mutual
+    np.testing.assert_allclose(both.distance, distance[rows], atol=1e-5)
+    ranked = matching.match(source, target, dataclasses.replace(CONFIG, strategy="ratio"))
+    assert pairs_of(ranked, source, target) == mutual
+    np.testing.assert_allclose(ranked.distance, (distance / second)[rows], atol=1e-4)
+
+
+@pytest.mark.parametrize("strategy", ["one_way", "mutual", "ratio"])
+def test_the_best_are_kept_in_source_order(strategy):
+    source, target = described(unit_rows(200)), described(unit_rows(260))
+    every = matching.match(source, target, dataclasses.replace(CONFIG, strategy=strategy))
+    few = matching.match(source, target, dataclasses.replace(CONFIG, strategy=strategy, max_correspondences=25))
+    best = np.sort(np.argsort(every.distance, kind="stable")[:25])
+    np.testing.assert_array_equal(few.source_points, every.source_points[best])
+    np.testing.assert_array_equal(few.target_points, every.target_points[best])
+
+
+@pytest.mark.parametrize("strategy", ["one_way", "mutual", "ratio"])
+@pytest.mark.parametrize("empty_side", ["source", "target", "both"])
+def test_points_without_a_descriptor_match_nothing(strategy, empty_side):
+    zeros, rows = np.zeros((40, 33), np.float32), unit_rows(40)
+    source = described(rows if empty_side == "target" else zeros)
+    target = described(rows if empty_side == "source" else zeros)
+    assert len(matching.match(source, target, dataclasses.replace(CONFIG, strategy=strategy))) == 0
+
+
+def test_described_points_are_matched_past_the_others():
+    rows = unit_rows(50)
+    rows[::2] = 0
+    source = target = described(rows)
+    assert pairs_of(matching.match(source, target, CONFIG), source, target) == [(i, i) for i in range(1, 50, 2)]

@@ -1,0 +1,82 @@
+"""Search structures equal brute force, also where cells end, below zero and far away."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import reference
+from scan_cases import random_scan
+
+from svc_ros.core.neighbours import DirectionGrid, RadiusGrid, direction_grid, radius_grid
+
+RNG = np.random.default_rng(8)
+
+
+def check_against_brute_force(points: np.ndarray, queries: np.ndarray, radius: float) -> np.ndarray:
+    found = RadiusGrid.build(points, radius).nearest(queries)
+    np.testing.assert_array_equal(found, reference.nearest_within(queries, points, radius))
+    return found
+
+
+@pytest.mark.parametrize("radius", [0.1, 0.6, 3.0])
+@pytest.mark.parametrize("centre", [(0, 0, 0), (-50, -70, -3), (3000, -8000, 200)])
+def test_nearest_within_equals_brute_force(centre, radius):
+    points, queries = (RNG.normal(size=(n, 3)) * 2 + centre for n in (500, 400))
+    found = check_against_brute_force(points, queries, radius)
+    assert (found >= 0).any()
+
+
+def test_points_and_queries_on_the_borders_of_cells():
+    lattice = np.stack(np.meshgrid(*[np.arange(-3, 4) * 0.5] * 3), -1).reshape(-1, 3)
+    check_against_brute_force(lattice, lattice, 0.5)
+    check_against_brute_force(lattice, lattice + np.array([0.25, 0, 0]), 0.5)  # two at the same distance: the first
+    check_against_brute_force(lattice, np.nextafter(lattice, -np.inf), 0.5)
+
+
+def test_the_radius_itself_is_outside():
+    assert RadiusGrid.build(np.zeros((1, 3)), 0.5).nearest(np.array([[0.5, 0, 0], [0.4999, 0, 0]])).tolist() == [-1, 0]
+
+
+def test_equal_points_answer_with_the_first():
+    points = np.repeat(RNG.normal(size=(20, 3)), 5, axis=0)
+    assert (check_against_brute_force(points, points, 0.3) % 5 == 0).all()
+
+
+@pytest.mark.parametrize("far", [1e3, 1e6, 1e9])
+def test_queries_far_away_have_no_neighbour(far):
+    grid = RadiusGrid.build(RNG.normal(size=(100, 3)), 0.3)
+    queries = np.vstack([far * np.eye(3), -far * np.eye(3)])
+    assert (grid.nearest(queries) == -1).all()
+
+
+def test_empty_inputs():
+    assert RadiusGrid.build(np.zeros((0, 3)), 0.3).nearest(np.zeros((2, 3))).tolist() == [-1, -1]
+    assert RadiusGrid.build(np.zeros((2, 3)), 0.3).nearest(np.zeros((0, 3))).shape == (0,)
+
+
+def cells_by_hand(points: np.ndarray, rows: int, columns: int) -> np.ndarray:
+    elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    row = np.clip(np.floor((elevation / np.pi + 0.5) * rows), 0, rows - 1)
+    column = np.clip(np.floor((azimuth / (2 * np.pi) + 0.5) * columns), 0, columns - 1)
+    return (row * columns + column).astype(np.int64)
+
+
+def test_direction_grid_holds_every_point_in_its_cell():
+    special = np.array([[0, 0, 1], [0, 0, -1], [-1, 0, 0], [-1, -0.0, 0], [1, 0, 0], [-1, 1e-12, 0], [-1, -1e-12, 0.0]])
+    points = np.concatenate([RNG.normal(size=(500, 3)) * 10, special])
+    normals = RNG.normal(size=points.shape)
+    grid = DirectionGrid.build(points, normals)
+    assert sorted(grid.order) == list(range(len(points)))
+    np.testing.assert_array_equal(grid.points, points[grid.order])
+    np.testing.assert_array_equal(grid.normals, normals[grid.order])
+    cells = np.repeat(np.arange(grid.rows * grid.columns), np.diff(grid.cell_starts))
+    np.testing.assert_array_equal(cells, cells_by_hand(grid.points, grid.rows, grid.columns))
+
+
+def test_structures_are_built_once_a_scan():
+    scan = random_scan(100, 1, origin=(1, 2, 3))
+    assert radius_grid(scan, 0.5) is radius_grid(scan, 0.5)
+    assert radius_grid(scan, 0.5) is not radius_grid(scan, 0.6)
+    assert direction_grid(scan) is direction_grid(scan)
+    np.testing.assert_array_equal(direction_grid(scan).points, (scan.points - (1, 2, 3))[direction_grid(scan).order])

@@ -1,0 +1,120 @@
+"""From raw points to thinned points with normals: the same bits in any order, and every normal faces the sensor."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from assertions import assert_same_bits
+from mini_data import POSES, scan_room
+
+from svc_ros.core import preprocess as stage
+from svc_ros.core.config import PreprocessConfig
+from svc_ros.core.errors import ConfigError, TooFewPointsError
+from svc_ros.core.scan import Scan
+
+CONFIG = PreprocessConfig(voxel_size_m=0.2, min_range_m=0.3, max_range_m=30.0)
+RNG = np.random.default_rng(3)
+ROOM = scan_room(POSES[0])
+
+
+def level_floor(height: float) -> np.ndarray:
+    x, y = np.meshgrid(np.arange(-5, 5, 0.2), np.arange(-5, 5, 0.2))
+    return np.column_stack([x.ravel(), y.ravel(), np.full(x.size, height)])
+
+
+def test_order_of_points_does_not_matter_to_a_single_bit():
+    reference = stage.preprocess(Scan(ROOM), CONFIG)
+    for _ in range(3):
+        shuffled = stage.preprocess(Scan(RNG.permutation(ROOM)), CONFIG)
+        assert_same_bits(shuffled.points, reference.points)
+        assert_same_bits(shuffled.normals, reference.normals)
+
+
+def test_input_is_left_alone():
+    points = ROOM.copy()
+    stage.preprocess(Scan(points), CONFIG)
+    assert_same_bits(points, ROOM)
+
+
+def test_range_is_counted_from_the_sensor():
+    origin = np.array([100.0, 0, 0])
+    points = origin + np.array([[0.2, 0, 0], [0.31, 0, 0], [0, 5, 0], [0, 0, 30], [0, 0, 30.1]])
+    kept = stage.crop_range(points, origin, CONFIG)
+    np.testing.assert_array_equal(kept, points[1:4])
+
+
+def test_points_at_the_sensor_itself_have_no_direction_and_go():
+    config = dataclasses.replace(CONFIG, min_range_m=0.0)
+    np.testing.assert_array_equal(
+        stage.crop_range(np.array([[0.0, 0, 0], [0, 0, 1]]), np.zeros(3), config), [[0, 0, 1]]
+    )
+
+
+def test_one_point_a_voxel_and_it_is_the_mean():
+    corner = np.array([[-10.0, -10, -10]])  # the grid starts half a voxel below it
+    cluster = np.array([[0.33, 0.31, 0.35], [0.37, 0.33, 0.31], [0.32, 0.38, 0.39]])
+    thinned = stage.thin_on_voxel_grid(np.concatenate([corner, cluster, cluster + 5.0]), 0.2)
+    expected = np.stack([corner[0], cluster.mean(0), cluster.mean(0) + 5.0])
+    np.testing.assert_allclose(thinned, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("voxel", [0.05, 0.3, 2.0])
+def test_thinning_equals_a_dictionary_of_cells(voxel):
+    points = RNG.normal(size=(3000, 3)) * 4 - 7
+    cells: dict[tuple[int, ...], list[np.ndarray]] = {}
+    for point in points:
+        cell = np.floor((point - (points.min(0) - 0.5 * voxel)) / voxel)
+        cells.setdefault(tuple(cell.astype(int)), []).append(point)
+    expected = np.array([np.mean(inside, axis=0) for inside in cells.values()])
+    found = stage.thin_on_voxel_grid(points, voxel)
+    np.testing.assert_allclose(found, expected[np.lexsort(expected.T)], atol=1e-8)
+
+
+def test_nothing_in_nothing_out():
+    assert stage.thin_on_voxel_grid(np.zeros((0, 3)), 0.3).shape == (0, 3)
+
+
+def test_voxels_that_cannot_be_counted_are_refused():
+    with pytest.raises(ConfigError, match="voxel_size_m"):
+        stage.thin_on_voxel_grid(np.array([[0.0, 0, 0], [1e6, 1e6, 1e6]]), 1e-3)
+
+
+@pytest.mark.parametrize("origin", [np.zeros(3), np.array([0.5, -0.5, 0.4])])
+def test_normals_are_unit_and_face_the_sensor(origin):
+    prepared = stage.preprocess(Scan(ROOM, sensor_origin=origin), CONFIG)
+    np.testing.assert_allclose(np.linalg.norm(prepared.normals, axis=1), 1, atol=1e-9)
+    assert ((prepared.normals * (origin - prepared.points)).sum(1) >= 0).all()
+
+
+def test_normals_of_a_room_are_those_of_its_walls():
+    prepared = stage.preprocess(Scan(ROOM), CONFIG)
+    on_west_wall = prepared.points[:, 0] < -5.95
+    towards_room = prepared.normals[on_west_wall] @ (1.0, 0.0, 0.0)
+    assert on_west_wall.sum() > 50
+    assert np.median(towards_room) > 0.99
+
+
+@pytest.mark.parametrize(("height", "up"), [(-1.5, 1.0), (2.5, -1.0)])
+def test_a_perfectly_level_floor_or_ceiling_keeps_its_normal(height, up):
+    normals = stage.estimate_normals(level_floor(height), np.zeros(3), CONFIG)
+    np.testing.assert_allclose(normals, np.tile((0, 0, up), (len(normals), 1)), atol=1e-6)
+
+
+def test_a_point_without_a_plane_faces_the_sensor():
+    lonely = np.array([[3.0, 4.0, 0.0], [20.0, 0.0, 0.0], [20.1, 0.0, 0.0]])
+    normals = stage.estimate_normals(np.concatenate([level_floor(-1.5), lonely]), np.zeros(3), CONFIG)
+    np.testing.assert_allclose(normals[-3:], [[-0.6, -0.8, 0], [-1, 0, 0], [-1, 0, 0]], atol=1e-9)
+
+
+@pytest.mark.parametrize("points", [np.zeros((0, 3)), np.ones((500, 3)), ROOM * 100])
+def test_too_few_points_say_how_many_were_left_and_why(points):
+    with pytest.raises(TooFewPointsError, match=r"expected at least 100 points.*0.3-30 m.*found \d+ \(of \d+ raw"):
+        stage.preprocess(Scan(points, frame_id="lidar"), CONFIG)
+
+
+def test_stamp_frame_and_origin_travel_along():
+    prepared = stage.preprocess(Scan(ROOM, 42, "lidar", np.array([0.1, 0, 0])), CONFIG)
+    assert (prepared.stamp_ns, prepared.frame_id, prepared.voxel_size_m) == (42, "lidar", 0.2)
+    np.testing.assert_array_equal(prepared.sensor_origin, (0.1, 0, 0))
