@@ -1,0 +1,110 @@
+"""Distinct poses, and refinement that ends where the surfaces meet."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from assertions import assert_same_bits, assert_same_pose
+from correspondence_cases import T_TRUE, random_case
+from scan_cases import T_ROOM, room_config, room_scans
+from scipy.spatial.transform import Rotation
+
+from svc_ros.core import se3
+from svc_ros.core import shortlist as stage
+from svc_ros.core.config import HypothesisConfig, ShortlistConfig
+from svc_ros.core.hypotheses import generate_hypotheses
+from svc_ros.core.matching import match
+from svc_ros.core.registration import extract_features, prepare
+
+LIMITS = ShortlistConfig(distinct_rotation_deg=5.0, distinct_translation_m=1.0)
+
+
+def pose(yaw_deg: float = 0.0, x: float = 0.0, y: float = 0.0) -> np.ndarray:
+    return se3.make_pose(Rotation.from_euler("z", yaw_deg, degrees=True).as_matrix(), (x, y, 0.0))
+
+
+def clustered_poses(num: int) -> np.ndarray:
+    rng = np.random.default_rng(3)
+    angles, shifts = rng.integers(0, 5, num) * 8 + rng.normal(size=num), rng.integers(0, 4, num) * 2.0
+    return np.array([pose(a, s + d) for a, s, d in zip(angles, shifts, rng.normal(size=num) * 0.3, strict=True)])
+
+
+def test_near_means_near_in_rotation_and_in_translation():
+    T = np.array([pose(), pose(4.9), pose(5.1), pose(0, 0.9), pose(0, 1.1), pose(4.9, 0.9), pose(180)])
+    assert stage.find_near(T, pose(), LIMITS).tolist() == [True, True, False, True, False, True, False]
+
+
+def test_chosen_poses_are_distinct_and_stand_for_all_others():
+    T = clustered_poses(200)
+    chosen = stage.select_distinct(T, LIMITS, 1000)
+    errors = np.array([[se3.pose_error(a, b) for b in T] for a in T[chosen]])
+    near = (errors[..., 0] <= 5.0) & (errors[..., 1] <= 1.0)
+    assert 5 < len(chosen) < 100
+    assert chosen[0] == 0
+    assert (near[:, chosen] == np.eye(len(chosen), dtype=bool)).all()
+    for k in range(200):  # each is chosen, or near to one that stands before it
+        assert k in chosen or near[chosen < k, k].any()
+
+
+def test_the_first_ones_are_taken_up_to_the_limit():
+    T = clustered_poses(200)
+    np.testing.assert_array_equal(stage.select_distinct(T, LIMITS, 4), stage.select_distinct(T, LIMITS, 1000)[:4])
+    assert stage.select_distinct(np.zeros((0, 4, 4)), LIMITS, 4).shape == (0,)
+
+
+def test_refinement_on_correspondences_ends_at_the_truth():
+    start = T_TRUE @ pose(1.0, 0.2, -0.1)
+    refined = stage.refine_on_correspondences(start, random_case(300), HypothesisConfig(), LIMITS)
+    assert_same_pose(refined, T_TRUE, 0.05, 0.02)
+
+
+def test_refinement_on_correspondences_leaves_a_pose_without_inliers():
+    start = T_TRUE @ pose(90, 500)
+    assert_same_bits(stage.refine_on_correspondences(start, random_case(300), HypothesisConfig(), LIMITS), start)
+    no_rounds = dataclasses.replace(LIMITS, correspondence_rounds=0)
+    assert_same_bits(stage.refine_on_correspondences(T_TRUE, random_case(300), HypothesisConfig(), no_rounds), T_TRUE)
+
+
+@pytest.fixture(scope="module")
+def room():
+    config = room_config()
+    return (*(prepare(scan, config) for scan in room_scans()), config)
+
+
+@pytest.mark.parametrize("start", [pose(), pose(3.0, 0.2, 0.1), pose(-4.0, -0.1, 0.3)])
+def test_icp_ends_where_the_walls_meet(room, start):
+    source, target, config = room
+    refined = stage.refine_by_icp(T_ROOM @ start, source, target, config.shortlist, 3000)
+    assert_same_pose(refined.T_target_source, T_ROOM, 0.3, 0.03)
+    assert refined.hessian.shape == (6, 6)
+    assert (np.linalg.eigvalsh(refined.hessian) > 0).all()
+    assert refined.num_pairs > 500
+    assert 0 <= refined.sq_error < refined.num_pairs * 0.05**2
+
+
+def test_icp_there_and_back_are_inverse(room):
+    source, target, config = room
+    there = stage.refine_by_icp(T_ROOM, source, target, config.shortlist, 10_000).T_target_source
+    back = stage.refine_by_icp(se3.invert(T_ROOM), target, source, config.shortlist, 10_000).T_target_source
+    assert_same_pose(there @ back, np.eye(4), 0.3, 0.03)
+
+
+def test_icp_gives_the_same_bits_again(room):
+    source, target, config = room
+    runs = [stage.refine_by_icp(T_ROOM @ pose(2.0), source, target, config.shortlist, 1000) for _ in range(2)]
+    assert_same_bits(runs[0].T_target_source, runs[1].T_target_source)
+    assert_same_bits(runs[0].hessian, runs[1].hessian)
+
+
+def test_the_shortlist_is_short_distinct_and_holds_the_right_pose():
+    config = room_config(shortlist__max_poses=6)
+    features = [extract_features(scan, config) for scan in room_scans()]
+    correspondences = match(*features, config.matching)
+    hypotheses = generate_hypotheses(correspondences, config.hypotheses)
+    found = stage.shortlist(hypotheses, correspondences, (features[0].prepared, features[1].prepared), config)
+    assert 0 < len(found) <= 6
+    assert len(stage.select_distinct(found, config.shortlist, 6)) == len(found)
+    errors = np.array([se3.pose_error(T, T_ROOM) for T in found])
+    assert ((errors[:, 0] < 5) & (errors[:, 1] < 0.3)).any()

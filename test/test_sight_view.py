@@ -1,0 +1,177 @@
+"""Sight lines of the default mode: equal to all pairs, everywhere on the sphere, and blind to what proves nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import reference
+from scan_cases import prepared, random_scan, real_pair, thin
+from scipy.spatial.transform import Rotation
+
+from svc_ros.core import paper_rule, se3
+from svc_ros.core.config import PaperConfig, SightViewConfig
+from svc_ros.core.preprocess import preprocess
+from svc_ros.core.scan import PreparedScan
+from svc_ros.core.sight_view import gather_evidence
+
+NARROW = SightViewConfig(tolerance_m=0.4, beam_radius_voxels=0.5, max_cone_deg=0.5)
+WIDE = SightViewConfig(tolerance_m=0.1, beam_radius_voxels=4.0, max_cone_deg=30.0, max_incidence_deg=60.0)
+MIDDLE = SightViewConfig(tolerance_m=0.6, beam_radius_voxels=1.0, max_cone_deg=3.0, max_incidence_deg=85.0)
+POSE = se3.make_pose(Rotation.from_euler("zyx", [50, 8, -4], degrees=True).as_matrix(), (1.0, -2.0, 0.3))
+
+
+def check_lines(observer: PreparedScan, other: PreparedScan, T: np.ndarray, config: SightViewConfig, found) -> int:
+    """Compare the observer's sight lines with those of all pairs; T places the other scan in its frame."""
+    points, normals = se3.apply(T, other.points), se3.rotate(T, other.normals)
+    alone = np.flatnonzero(reference.nearest_within(points, observer.points, config.tolerance_m) < 0)
+    radius, origin = config.beam_radius_voxels * observer.voxel_size_m, observer.sensor_origin
+    angles = np.radians([config.max_cone_deg, config.max_incidence_deg])
+    limits = np.array([config.tolerance_m, radius, angles[0], np.tan(angles[1])])
+    blocker, observed = reference.line_blockers(
+        points[alone] - origin, normals[alone], observer.points - origin, observer.normals, limits
+    )
+    blocked = np.flatnonzero(blocker >= 0)
+    assert (found.num_lines, found.num_observed) == (len(observer), observed.sum())
+    np.testing.assert_array_equal(found.blocked_idx, blocked)
+    np.testing.assert_array_equal(found.blocker_idx, alone[blocker[blocked]])
+    return len(blocked)
+
+
+def check_both_ways(source: PreparedScan, target: PreparedScan, T: np.ndarray, config: SightViewConfig) -> int:
+    evidence = gather_evidence(source, target, T, config)
+    return check_lines(target, source, T, config, evidence.source_in_target) + check_lines(
+        source, target, se3.invert(T), config, evidence.target_in_source
+    )
+
+
+@pytest.mark.parametrize("config", [NARROW, MIDDLE, WIDE], ids=["narrow", "middle", "wide"])
+@pytest.mark.parametrize("origin", [(0, 0, 0), (2.0, -1.0, 0.5)])
+def test_blocked_lines_of_random_scans_equal_all_pairs(origin, config):
+    num_blocked = 0
+    for seed in range(3):
+        source, target = random_scan(700, seed), random_scan(600, seed + 9, origin=origin)
+        num_blocked += check_both_ways(source, target, POSE, config)
+    assert num_blocked > 0
+
+
+@pytest.mark.parametrize("name", ["os1_64_seosan", "hdl64_kitti_a"])
+def test_blocked_lines_of_real_scans_equal_all_pairs(shared_data, name):
+    source, target, T, settings = real_pair(shared_data, name)
+    source, target = (thin(preprocess(scan, settings.preprocess), 2000) for scan in (source, target))
+    shifted = T @ se3.make_pose(np.eye(3), (1.0, 1.0, 0.3))
+    assert sum(check_both_ways(source, target, pose, MIDDLE) for pose in (T, shifted)) > 0
+
+
+def around(axis: tuple[float, float, float], spread_deg: float, distance: float, seed: int) -> PreparedScan:
+    """Points within an angle of one direction, at about one distance."""
+    rng = np.random.default_rng(seed)
+    directions = np.asarray(axis) + np.tan(np.radians(spread_deg)) * rng.uniform(-1, 1, (300, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return prepared(directions * rng.uniform(0.95, 1.05, (300, 1)) * distance)
+
+
+@pytest.mark.parametrize("config", [NARROW, MIDDLE, WIDE], ids=["narrow", "middle", "wide"])
+@pytest.mark.parametrize("axis", [(0, 0, 1), (0, 0, -1), (-1, 0, 0), (-1, 0, 0.5), (0.02, 0, 1), (-0.02, 1e-3, -1)])
+def test_lines_at_the_poles_and_across_the_seam_are_found(axis, config):
+    near, far = around(axis, 2.0, 3.0, 1), around(axis, 2.0, 9.0, 2)
+    evidence = gather_evidence(near, far, np.eye(4), config)
+    num_blocked = check_lines(far, near, np.eye(4), config, evidence.source_in_target)
+    assert num_blocked > 50
+    check_lines(near, far, np.eye(4), config, evidence.target_in_source)
+
+
+def test_lines_are_counted_the_same_wherever_they_point():
+    near, far = around((1, 0, 0), 2.0, 3.0, 1), around((1, 0, 0), 2.0, 9.0, 2)
+    counts = []
+    for rotation in Rotation.random(20, random_state=4):
+        T = se3.make_pose(rotation.as_matrix(), (0, 0, 0))
+        turned = [prepared(se3.apply(T, s.points), se3.rotate(T, s.normals)) for s in (near, far)]
+        counts.append(gather_evidence(*turned, np.eye(4), MIDDLE).source_in_target.num_blocked)
+    assert set(counts) == {gather_evidence(near, far, np.eye(4), MIDDLE).source_in_target.num_blocked}
+
+
+def wall(distance: float) -> PreparedScan:
+    y, z = np.meshgrid(*[np.arange(-2.0, 2.0, 0.02 * distance)] * 2)
+    points = np.column_stack([np.full(y.size, distance), y.ravel(), z.ravel()])
+    return prepared(points, np.tile((-1.0, 0, 0), (len(points), 1)))
+
+
+@pytest.mark.parametrize("config", [NARROW, MIDDLE, WIDE], ids=["narrow", "middle", "wide"])
+def test_a_wall_that_moves_to_the_front_blocks(config):
+    scan = wall(8.0)
+    closer = se3.make_pose(np.eye(3), (-2.0, 0, 0))
+    evidence = gather_evidence(scan, scan, closer, config)
+    assert evidence.source_in_target.blocked_ratio > 0.5 or config is NARROW
+    assert evidence.source_in_target.num_blocked > 0
+    assert evidence.target_in_source.num_blocked == 0  # from the source's own place the target's wall is behind
+    assert evidence.target_in_source.num_observed > 0
+    assert evidence.overlap_ratio == 0
+
+
+def test_the_nearest_of_several_walls_is_the_blocker():
+    three = [wall(d) for d in (6.0, 3.0, 4.0)]
+    other = prepared(np.concatenate([w.points for w in three]), np.concatenate([w.normals for w in three]))
+    lines = gather_evidence(other, wall(9.0), np.eye(4), WIDE).source_in_target
+    assert lines.num_blocked > 100
+    assert (np.linalg.norm(other.points[lines.blocker_idx], axis=1) < 5.0).all()
+    assert (other.points[lines.blocker_idx, 0] == 3.0).all()
+
+
+def rings(ranges: list[float], sensor_height: float = 1.7) -> PreparedScan:
+    """Level ground as a spinning sensor sees it: circles, far apart where the rays graze."""
+    azimuth = np.radians(np.arange(0, 360, 0.2))
+    points = [np.column_stack([r * np.cos(azimuth), r * np.sin(azimuth), 0 * azimuth - sensor_height]) for r in ranges]
+    return prepared(np.concatenate(points), np.tile((0.0, 0, 1), (len(ranges) * len(azimuth), 1)))
+
+
+def test_ground_between_two_rings_contradicts_nothing():
+    target, source = rings([20.0, 26.0, 34.0, 48.0]), rings([23.0, 30.0, 40.0])
+    lines = gather_evidence(source, target, np.eye(4), MIDDLE).source_in_target
+    assert lines.num_blocked == 0
+    published = paper_rule.find_blocked(target, source.points, PaperConfig(tolerance_m=0.6))
+    assert published.blocked_ratio > 0.1  # which is why it is not the default
+
+
+def test_a_scan_laid_on_itself_agrees_with_itself():
+    scan = wall(6.0)
+    evidence = gather_evidence(scan, scan, np.eye(4), MIDDLE)
+    assert (evidence.overlap_ratio, evidence.oriented_overlap_ratio, evidence.opposed_ratio) == (1.0, 1.0, 0.0)
+    assert (evidence.source_in_target.num_blocked, evidence.target_in_source.num_blocked) == (0, 0)
+
+
+def test_a_surface_seen_from_both_sides_is_opposed():
+    front = wall(6.0)
+    back = prepared(front.points, -front.normals)
+    evidence = gather_evidence(back, front, np.eye(4), MIDDLE)
+    assert (evidence.overlap_ratio, evidence.oriented_overlap_ratio, evidence.opposed_ratio) == (1.0, 0.0, 1.0)
+
+
+def test_overlap_is_the_smaller_of_both_directions():
+    whole = wall(6.0)
+    half = prepared(whole.points[whole.points[:, 1] < 0], whole.normals[whole.points[:, 1] < 0])
+    evidence = gather_evidence(half, whole, np.eye(4), NARROW)
+    assert 0.45 < evidence.overlap_ratio < 0.75
+    assert evidence.overlap_ratio == gather_evidence(whole, half, np.eye(4), NARROW).overlap_ratio
+
+
+def test_scans_without_contact_say_nothing():
+    evidence = gather_evidence(wall(6.0), wall(6.0), se3.make_pose(np.eye(3), (0, 0, -500)), MIDDLE)
+    assert evidence.overlap_ratio == evidence.oriented_overlap_ratio == evidence.opposed_ratio == 0
+    assert evidence.source_in_target.num_observed == evidence.target_in_source.num_observed == 0
+
+
+def test_exchanged_scans_give_exchanged_evidence():
+    source, target = random_scan(700, 1), random_scan(600, 2, origin=(1, 1, 0))
+    there, back = (
+        gather_evidence(*pair, WIDE) for pair in ((source, target, POSE), (target, source, se3.invert(POSE)))
+    )
+    for one, other in (
+        (there.source_in_target, back.target_in_source),
+        (there.target_in_source, back.source_in_target),
+    ):
+        assert one.num_blocked > 0
+        assert (one.num_lines, one.num_observed) == (other.num_lines, other.num_observed)
+        np.testing.assert_array_equal(one.blocked_idx, other.blocked_idx)
+        np.testing.assert_array_equal(one.blocker_idx, other.blocker_idx)
+    assert there.overlap_ratio == back.overlap_ratio
+    assert there.oriented_overlap_ratio == back.oriented_overlap_ratio
