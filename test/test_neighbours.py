@@ -74,6 +74,11 @@ def test_direction_grid_holds_every_point_in_its_cell():
     np.testing.assert_array_equal(cells, cells_by_hand(grid.points, grid.rows, grid.columns))
 
 
+def test_points_at_the_sensor_are_in_no_cell():
+    points = np.array([[1.0, 0, 0], [0, 0, 0], [0, 1, 0], [1e-12, 0, 0]])
+    assert sorted(DirectionGrid.build(points, points).order) == [0, 2]
+
+
 def test_structures_are_built_once_a_scan():
     scan = random_scan(100, 1, origin=(1, 2, 3))
     assert radius_grid(scan, 0.5) is radius_grid(scan, 0.5)

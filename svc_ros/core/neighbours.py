@@ -10,6 +10,7 @@ from svc_ros.core import sight_kernels
 from svc_ros.core.scan import Array, IndexArray, PreparedScan
 
 _DIRECTION_CELL_DEG = 1.0
+_MIN_RANGE_M = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +49,7 @@ class RadiusGrid:
 class DirectionGrid:
     """Sight lines of an observer, sorted into elevation-azimuth cells.
 
-    points, normals: (N, 3), relative to the sensor, in cell order; order: their original indices;
+    points, normals: (L, 3), relative to the sensor, in cell order; order: their original indices;
     cell_starts: (rows * columns + 1,).
     """
 
@@ -61,11 +62,12 @@ class DirectionGrid:
 
     @classmethod
     def build(cls, relative_points: Array, normals: Array) -> DirectionGrid:
-        """Sort points (N, 3) [m], given relative to the sensor, by direction."""
+        """Sort points (N, 3) [m], given relative to the sensor, by direction. One at the sensor itself has none."""
         rows, columns = round(180 / _DIRECTION_CELL_DEG), round(360 / _DIRECTION_CELL_DEG)
-        cells = np.empty(len(relative_points), np.int64)
-        sight_kernels.fill_direction_cells(relative_points, rows, columns, cells)
-        order = np.argsort(cells, kind="stable")
+        lines = np.flatnonzero(np.square(relative_points).sum(1) > _MIN_RANGE_M**2)
+        cells = np.empty(len(lines), np.int64)
+        sight_kernels.fill_direction_cells(relative_points[lines], rows, columns, cells)
+        order = lines[np.argsort(cells, kind="stable")]
         starts = np.concatenate(([0], np.cumsum(np.bincount(cells, minlength=rows * columns))))
         points, normals = (np.ascontiguousarray(a[order]) for a in (relative_points, normals))
         return cls(points, normals, order, starts, rows, columns)
