@@ -66,8 +66,8 @@ def test_both_ways_are_the_two_directions():
 
 
 def wall(distance: float, half_width: float = 3.0) -> np.ndarray:
-    """Points of a wall across the x axis, 5 cm apart in angle of view."""
-    y, z = np.meshgrid(*[np.arange(-half_width, half_width, 0.01 * distance)] * 2)
+    """Points of a wall across the x axis."""
+    y, z = np.meshgrid(*[np.arange(-half_width, half_width, 0.03 * distance)] * 2)
     return np.column_stack([np.full(y.size, distance), y.ravel(), z.ravel()])
 
 

@@ -118,3 +118,19 @@ def test_stamp_frame_and_origin_travel_along():
     prepared = stage.preprocess(Scan(ROOM, 42, "lidar", np.array([0.1, 0, 0])), CONFIG)
     assert (prepared.stamp_ns, prepared.frame_id, prepared.voxel_size_m) == (42, "lidar", 0.2)
     np.testing.assert_array_equal(prepared.sensor_origin, (0.1, 0, 0))
+
+
+@pytest.mark.parametrize(("num_beams", "spacing"), [(16, 2.0), (64, 0.4)])
+def test_beam_spacing_is_that_of_the_sensor(num_beams, spacing):
+    elevation = (np.arange(num_beams) - num_beams / 2) * spacing
+    rays, beams = (a.ravel() for a in np.meshgrid(np.radians(np.arange(0, 360, 0.2)), np.radians(elevation)))
+    directions = np.column_stack([np.cos(beams) * np.cos(rays), np.cos(beams) * np.sin(rays), np.sin(beams)])
+    points = directions * RNG.uniform(2, 20, (len(directions), 1))
+    assert stage.estimate_beam_spacing_deg(points) == pytest.approx(spacing, rel=0.02)
+    assert stage.estimate_beam_spacing_deg(RNG.permutation(points)) == stage.estimate_beam_spacing_deg(points)
+
+
+def test_one_ring_has_no_beam_spacing():
+    azimuth = np.radians(np.arange(0, 360, 0.2))
+    ring = np.column_stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth])
+    assert stage.estimate_beam_spacing_deg(ring) == stage.estimate_beam_spacing_deg(np.zeros((0, 3))) == 0.0
