@@ -118,12 +118,12 @@ class ShortlistConfig(_Group):
     prescore_points: int = _value(500, "source points of the cheap look", "", 10, 100_000)
     distinct_rotation_deg: float = _value(5.0, "poses farther apart than this are distinct", "deg", 0.0, 180.0)
     distinct_translation_m: float = _value(1.0, "poses farther apart than this are distinct", "m", 0.0, 100.0)
-    max_moved_rotation_deg: float = _value(6.0, "a given pose that refinement turns by more was not right", "deg", 0.0, 180.0)
-    max_moved_translation_m: float = _value(0.72, "a given pose that refinement moves by more was not right", "m", 0.0, 100.0)
+    max_moved_rotation_deg: float = _value(6.0, "a given pose turned more by refinement is not right", "deg", 0.0, 180.0)
+    max_moved_translation_m: float = _value(0.72, "a given pose moved more by refinement is not right", "m", 0.0, 1e2)
     correspondence_rounds: int = _value(20, "rounds of weighted Kabsch on the correspondences", "", 0, 100)
     correspondence_eps_m: float = _value(1.2, "residual at which a weight is one half (eps)", "m", 1e-3, 10.0)
     icp_rounds: int = _value(12, "rounds of point-to-plane ICP", "", 0, 200)
-    icp_points: int = _value(2500, "source points of ICP on the shortlist; the chosen pose takes all", "", 50, 1_000_000)
+    icp_points: int = _value(2500, "source points of the shortlist's ICP; the last takes all", "", 50, 1_000_000)
     icp_distance_m: float = _value(1.0, "largest distance of an ICP pair", "m", 1e-3, 10.0)
 
 
@@ -133,7 +133,9 @@ class SightViewConfig(_Group):
 
     tolerance_m: float = _value(0.6, "range and overlap tolerance (tau)", "m", 1e-3, 10.0)
     beam_radius_voxels: float = _value(0.5, "a point blocks a line that passes within this of it", "voxels", 0.05, 5.0)
-    max_cone_deg: float = _value(0.5, "cap of the cone's half angle near the sensor (theta)", "deg", 0.05, 45.0)
+    cone_beams: float = _value(0.75, "cap of the cone's half angle (theta), in beam spacings", "beams", 0.1, 10.0)
+    min_cone_deg: float = _value(0.25, "the cap is never below this, however dense the beams", "deg", 0.01, 45.0)
+    max_cone_deg: float = _value(1.5, "the cap is never above this, however sparse the beams", "deg", 0.05, 45.0)
     max_incidence_deg: float = _value(85.0, "cap of the angle between ray and normal (phi)", "deg", 0.0, 89.9)
     same_side_cosine: float = _value(0.3, "normals agree above this, are opposed below its negative", "", 0.0, 1.0)
 
@@ -153,7 +155,7 @@ class DecisionConfig(_Group):
     """When a refined pose is accepted, rejected or left undecided."""
 
     min_oriented_overlap: float = _value(0.10, "less oriented overlap is low_overlap", "", 0.0, 1.0)
-    max_blocked_per_overlap: float = _value(0.085, "blocked share over oriented overlap", "", 0.0, 10.0)
+    max_blocked_per_overlap: float = _value(0.07, "blocked share over oriented overlap", "", 0.0, 10.0)
     max_opposed_per_overlap: float = _value(0.60, "opposed share over oriented overlap", "", 0.0, 10.0)
 
 
@@ -188,10 +190,11 @@ def _check_value(name: str, value: Any, f: dataclasses.Field[Any]) -> Any:
     if not isinstance(value, kind) or isinstance(value, bool) is not (kind is bool):
         raise ConfigError(f"{name}: expected {kind.__name__}, found {value!r}")
     if meta["choices"] and value not in meta["choices"]:
-        raise ConfigError(unknown_name(name, value, meta["choices"]))
+        raise ConfigError(unknown_name(name, str(value), meta["choices"]))
     low, high = meta["low"], meta["high"]
     if (low is not None and not value >= low) or (high is not None and not value <= high):
-        raise ConfigError(f"{name}: expected a value from {low:g} to {high:g} {meta['unit']}".rstrip() + f", found {value}")
+        span = f"{low:g} to {high:g} {meta['unit']}".rstrip()
+        raise ConfigError(f"{name}: expected a value from {span}, found {value}")
     return value
 
 
@@ -207,8 +210,9 @@ def walk(config: Config) -> Iterator[FieldInfo]:
     for f, prefix, owner in _leaves(config):
         meta = f.metadata
         yield FieldInfo(
-            prefix + f.name, getattr(owner, f.name), meta["text"], meta["unit"], meta["low"], meta["high"], meta["choices"]
-        )
+            prefix + f.name, getattr(owner, f.name), meta["text"], meta["unit"],
+            meta["low"], meta["high"], meta["choices"],
+        )  # fmt: skip
 
 
 def _leaves(config: Config) -> Iterator[tuple[dataclasses.Field[Any], str, Any]]:
@@ -256,8 +260,6 @@ PRESETS: dict[str, Config] = {
             "hypotheses.seed_ratio": 1.0,
             "shortlist.max_poses": 20,
             "sight_view.tolerance_m": 0.4,
-            "sight_view.max_cone_deg": 1.0,
-            "decision.max_blocked_per_overlap": 0.05,
         },
     ),
     "rgbd_indoor": with_values(

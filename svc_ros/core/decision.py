@@ -34,7 +34,8 @@ def decide(evidence: SightViewEvidence, config: DecisionConfig) -> Decision:
         detail = f"oriented overlap {oriented:.3f} is below {config.min_oriented_overlap:g}"
         return Decision(Verdict.REJECTED, Reason.LOW_OVERLAP, probability, detail)
     if blocked / oriented > config.max_blocked_per_overlap:
-        detail = f"blocked share {blocked:.3f} is above {config.max_blocked_per_overlap:g} of the oriented overlap {oriented:.3f}"
+        limit = f"{config.max_blocked_per_overlap:g} of the oriented overlap {oriented:.3f}"
+        detail = f"blocked share {blocked:.3f} is above {limit}"
         return Decision(Verdict.REJECTED, Reason.SIGHT_VIEW_BLOCKED, probability, detail)
     if evidence.opposed_ratio / oriented > config.max_opposed_per_overlap:
         detail = f"surfaces seen from both sides: {evidence.opposed_ratio:.3f} against oriented overlap {oriented:.3f}"

@@ -11,6 +11,10 @@ from svc_ros.core.scan import Array, IndexArray, PreparedScan, Scan
 
 _FRACTION_STEPS = 2.0**32  # a point's place inside its voxel, in steps of a nanometre or less
 
+_SECTOR_DEG = 0.5
+_EVERY_SECTOR = 6  # a sixth of the points shows the spacing as well as all of them
+_SAME_BEAM_DEG = 0.05
+
 
 def preprocess(scan: Scan, config: PreprocessConfig) -> PreparedScan:
     """Crop by range from the sensor, thin on a voxel grid, estimate normals towards the sensor.
@@ -26,7 +30,10 @@ def preprocess(scan: Scan, config: PreprocessConfig) -> PreparedScan:
             f"({config.voxel_size_m:g} m), found {len(points)} (of {len(scan)} raw points, {len(cropped)} in range)"
         )
     normals = estimate_normals(points, scan.sensor_origin, config)
-    return PreparedScan(points, normals, scan.sensor_origin, config.voxel_size_m, scan.stamp_ns, scan.frame_id)
+    spacing = estimate_beam_spacing_deg(cropped - scan.sensor_origin)
+    return PreparedScan(
+        points, normals, scan.sensor_origin, config.voxel_size_m, scan.stamp_ns, scan.frame_id, spacing
+    )
 
 
 def crop_range(points: Array, sensor_origin: Array, config: PreprocessConfig) -> Array:
@@ -34,6 +41,23 @@ def crop_range(points: Array, sensor_origin: Array, config: PreprocessConfig) ->
     sq_range = np.square(points - sensor_origin).sum(1)
     keep = (sq_range >= config.min_range_m**2) & (sq_range <= config.max_range_m**2) & (sq_range > 0)
     return points[keep]
+
+
+def estimate_beam_spacing_deg(relative_points: Array) -> float:
+    """Median angle [deg] between vertically neighbouring beams of raw points (N, 3), given relative to the sensor.
+
+    Looks into narrow azimuth sectors, where a spinning sensor or a depth image is a vertical line of beams. 0 where
+    no sector holds two of them.
+    """
+    x, y, z = relative_points.T
+    sector = np.floor(np.degrees(np.arctan2(y, x)) / _SECTOR_DEG).astype(np.int64)
+    looked_at = sector % _EVERY_SECTOR == 0
+    elevation = np.degrees(np.arctan2(z[looked_at], np.hypot(x[looked_at], y[looked_at])))
+    sector = sector[looked_at]
+    order = np.lexsort((elevation, sector))
+    gap = np.diff(elevation[order])[np.diff(sector[order]) == 0]
+    gap = gap[gap > _SAME_BEAM_DEG]
+    return float(np.median(gap)) if len(gap) else 0.0
 
 
 def thin_on_voxel_grid(points: Array, voxel_size_m: float) -> Array:

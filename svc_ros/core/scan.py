@@ -69,7 +69,8 @@ class PreparedScan:
     """A scan after range crop and voxel grid: what every later stage looks at.
 
     points: (K, 3) [m]; normals: (K, 3) unit, turned towards the sensor; sensor_origin: (3,) [m];
-    voxel_size_m: the grid that thinned it; memo: search structures, built on first use and kept with the scan.
+    voxel_size_m: the grid that thinned it; beam_spacing_deg: angle between neighbouring beams of the raw scan, 0 if
+    unknown; memo: search structures, built on first use and kept with the scan.
     """
 
     points: Array
@@ -78,6 +79,7 @@ class PreparedScan:
     voxel_size_m: float
     stamp_ns: int = 0
     frame_id: str = ""
+    beam_spacing_deg: float = 0.0
     memo: dict[Hashable, Any] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:

@@ -18,7 +18,7 @@ def cell_key(x, y, z, inverse_edge):  # type: ignore[no-untyped-def]
     i = np.int64(np.floor(x * inverse_edge)) + _AXIS_OFFSET
     j = np.int64(np.floor(y * inverse_edge)) + _AXIS_OFFSET
     k = np.int64(np.floor(z * inverse_edge)) + _AXIS_OFFSET
-    return (i << (2 * _AXIS_BITS)) | (j << _AXIS_BITS) | k
+    return (i << (2 * _AXIS_BITS)) + (j << _AXIS_BITS) + k  # a sum: neighbours stay neighbours beyond 21 bits
 
 
 @_jit
@@ -114,7 +114,9 @@ def find_blockers(p, p_normals, p_idx, q, q_normals, q_order, cell_starts, rows,
         row_from = max(int(((elevation - angle) / np.pi + 0.5) * rows), 0)
         row_to = min(int(((elevation + angle) / np.pi + 0.5) * rows), rows - 1)
         cosine = np.cos(min(abs(elevation) + angle, 0.5 * np.pi))
-        spread = np.pi if cosine * np.pi <= np.sin(angle) else min(np.pi, np.arcsin(min(1.0, np.sin(angle) / max(cosine, 1e-9))))
+        spread = np.pi
+        if cosine * np.pi > np.sin(angle):
+            spread = np.arcsin(min(1.0, np.sin(angle) / max(cosine, 1e-9)))
         column_from = int(np.floor(((azimuth - spread) / (2.0 * np.pi) + 0.5) * columns))
         column_to = int(np.floor(((azimuth + spread) / (2.0 * np.pi) + 0.5) * columns))
         if column_to - column_from >= columns:

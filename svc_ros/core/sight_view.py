@@ -40,16 +40,22 @@ def _look(
     return _find_blocked(observer, points, normals, ~near, config), shares
 
 
+def cone_half_angle_deg(observer: PreparedScan, config: SightViewConfig) -> float:
+    """Cap of the cone's half angle [deg]: a share of the sensor's own beam spacing, within bounds."""
+    return min(max(config.cone_beams * observer.beam_spacing_deg, config.min_cone_deg), config.max_cone_deg)
+
+
 def _find_blocked(
     observer: PreparedScan, points: Array, normals: Array, alone: NDArray[np.bool_], config: SightViewConfig
 ) -> SightLines:
     """Blocked lines of the observer, with the points (M, 3) that lie on nothing of its scan as possible blockers."""
     grid = direction_grid(observer)
     num = len(observer)
+    cone_deg = cone_half_angle_deg(observer, config)
     blocker, blocker_range, observed = np.full(num, -1, np.int64), np.zeros(num), np.zeros(num, bool)
     limits = np.array(
         [config.tolerance_m, config.beam_radius_voxels * observer.voxel_size_m,
-         np.radians(config.max_cone_deg), np.tan(np.radians(config.max_incidence_deg))]
+         np.radians(cone_deg), np.tan(np.radians(config.max_incidence_deg))]
     )  # fmt: skip
     names = np.flatnonzero(alone)
     sight_kernels.find_blockers(
