@@ -118,7 +118,7 @@ class ShortlistConfig(_Group):
     prescore_points: int = _value(500, "source points of the cheap look", "", 10, 100_000)
     distinct_rotation_deg: float = _value(5.0, "poses farther apart than this are distinct", "deg", 0.0, 180.0)
     distinct_translation_m: float = _value(1.0, "poses farther apart than this are distinct", "m", 0.0, 100.0)
-    max_moved_rotation_deg: float = _value(6.0, "a given pose turned more by refinement is not right", "deg", 0.0, 180.0)
+    max_moved_rotation_deg: float = _value(6.0, "a given pose turned more by refinement is not right", "deg", 0.0, 180)
     max_moved_translation_m: float = _value(0.72, "a given pose moved more by refinement is not right", "m", 0.0, 1e2)
     correspondence_rounds: int = _value(20, "rounds of weighted Kabsch on the correspondences", "", 0, 100)
     correspondence_eps_m: float = _value(1.2, "residual at which a weight is one half (eps)", "m", 1e-3, 10.0)
