@@ -137,6 +137,8 @@ class SightViewConfig(_Group):
     min_cone_deg: float = _value(0.25, "the cap is never below this, however dense the beams", "deg", 0.01, 45.0)
     max_cone_deg: float = _value(1.5, "the cap is never above this, however sparse the beams", "deg", 0.05, 45.0)
     max_incidence_deg: float = _value(85.0, "cap of the angle between ray and normal (phi)", "deg", 0.0, 89.9)
+    sector_deg: float = _value(10.0, "azimuth sectors in which blocked lines are counted", "deg", 1.0, 90.0)
+    forgiven_sectors: int = _value(2, "most blocked sectors left out of the scattered share", "", 0, 36)
     same_side_cosine: float = _value(0.3, "normals agree above this, are opposed below its negative", "", 0.0, 1.0)
 
 
@@ -152,11 +154,29 @@ class PaperConfig(_Group):
 
 @dataclass(frozen=True)
 class DecisionConfig(_Group):
-    """When a refined pose is accepted, rejected or left undecided."""
+    """When a refined pose is accepted, rejected or left undecided; one set of borders for all sensors.
 
-    min_oriented_overlap: float = _value(0.10, "less oriented overlap is low_overlap", "", 0.0, 1.0)
-    max_blocked_per_overlap: float = _value(0.07, "blocked share over oriented overlap", "", 0.0, 10.0)
-    max_opposed_per_overlap: float = _value(0.60, "opposed share over oriented overlap", "", 0.0, 10.0)
+    Fitted by benchmarks/decision.py: each border lies between the right and the wrong labelled poses of every set.
+    """
+
+    min_oriented_overlap: float = _value(0.10, "less oriented overlap is too little to accept", "", 1e-3, 1.0)
+    max_blocked_per_overlap: float = _value(0.12, "blocked share over oriented overlap", "", 1e-3, 10.0)
+    max_scattered_per_overlap: float = _value(0.05, "the same outside the most blocked sectors", "", 1e-3, 10.0)
+    max_opposed_per_overlap: float = _value(0.60, "opposed share over oriented overlap", "", 1e-3, 10.0)
+    sharpness: float = _value(2.0, "slope of the probability over the smallest log margin", "", 0.1, 100.0)
+    slip_m: float = _value(2.4, "an accepted pose is shifted so far along its weakest direction", "m", 0.01, 100.0)
+    slip_score_ratio: float = _value(0.7, "a slip scoring this share of the pose is as good", "", 0.0, 1.0)
+    rival_score_ratio: float = _value(0.92, "another refined pose scoring this share is as good", "", 0.0, 1.0)
+    rival_strictness: float = _value(2.5, "factor by which a rival must keep the blocked borders", "", 0.1, 10.0)
+
+
+@dataclass(frozen=True)
+class CovarianceConfig(_Group):
+    """Covariance of an accepted pose."""
+
+    points_per_constraint: float = _value(100.0, "neighbouring points that share one error", "", 1.0, 1e5)
+    floor_translation_m: float = _value(0.03, "smallest standard deviation of the translation", "m", 1e-4, 10.0)
+    floor_rotation_deg: float = _value(0.1, "smallest standard deviation of the rotation", "deg", 1e-4, 90.0)
 
 
 @dataclass(frozen=True)
@@ -172,6 +192,7 @@ class Config:
     sight_view: SightViewConfig = field(default_factory=SightViewConfig)
     paper: PaperConfig = field(default_factory=PaperConfig)
     decision: DecisionConfig = field(default_factory=DecisionConfig)
+    covariance: CovarianceConfig = field(default_factory=CovarianceConfig)
 
     def __post_init__(self) -> None:
         _check_value("method", self.method, dataclasses.fields(self)[0])
@@ -278,6 +299,8 @@ PRESETS: dict[str, Config] = {
             "shortlist.icp_distance_m": 0.15,
             "shortlist.prescore_cell_m": 0.1,
             "sight_view.tolerance_m": 0.1,
+            "decision.slip_m": 0.9,
+            "covariance.floor_translation_m": 0.01,
             "paper.tolerance_m": 0.1,
         },
     ),

@@ -2,21 +2,42 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from svc_ros.core.config import DecisionConfig
-from svc_ros.core.evidence import SightViewEvidence
+from svc_ros.core.evidence import SightLines, SightViewEvidence
 from svc_ros.core.result import Reason, Verdict
+
+_FLOOR = 1e-3  # smallest share that logarithms see; one sight line in a thousand
 
 
 @dataclass(frozen=True)
 class Decision:
-    """The answer on one pose; probability in [0, 1] that the pose is right."""
+    """The answer on one pose; probability in [0, 1] that the pose is right, at least one half where it is accepted."""
 
     verdict: Verdict
     reason: Reason
     probability: float
     detail: str
+
+
+@dataclass(frozen=True)
+class Margins:
+    """How far the evidence lies on the good side of each border, as natural logarithms of ratios.
+
+    free: blocked sight lines; same_side: surfaces seen from both sides; overlap: agreeing surface.
+    """
+
+    free: float
+    same_side: float
+    overlap: float
+
+    @property
+    def smallest(self) -> float:
+        """Positive where every border is kept."""
+        return min(self.free, self.same_side, self.overlap)
 
 
 def score(evidence: SightViewEvidence) -> float:
@@ -25,25 +46,92 @@ def score(evidence: SightViewEvidence) -> float:
     return evidence.oriented_overlap_ratio - 1.5 * blocked
 
 
+def measure_margins(evidence: SightViewEvidence, config: DecisionConfig) -> Margins:
+    """Compare the evidence with the borders; what blocks and what is opposed counts in shares of what agrees."""
+    agreeing = max(evidence.oriented_overlap_ratio, _FLOOR)
+
+    def free(lines: SightLines) -> float:
+        blocked = math.log(config.max_blocked_per_overlap * agreeing / (lines.blocked_ratio + _FLOOR))
+        scattered = math.log(config.max_scattered_per_overlap * agreeing / (lines.scattered_ratio + _FLOOR))
+        return min(blocked, scattered)
+
+    return Margins(
+        free=min(free(evidence.source_in_target), free(evidence.target_in_source)),
+        same_side=math.log(config.max_opposed_per_overlap * agreeing / (evidence.opposed_ratio + _FLOOR)),
+        overlap=math.log(agreeing / config.min_oriented_overlap),
+    )
+
+
 def decide(evidence: SightViewEvidence, config: DecisionConfig) -> Decision:
     """Judge one refined pose by its evidence alone."""
-    oriented = evidence.oriented_overlap_ratio
+    margins = measure_margins(evidence, config)
+    probability = 1.0 / (1.0 + math.exp(-config.sharpness * margins.smallest))
+    agreeing = evidence.oriented_overlap_ratio
+    if margins.smallest > 0:
+        detail = f"free sight lines, oriented overlap {agreeing:.3f}"
+        return Decision(Verdict.ACCEPTED, Reason.OK, probability, detail)
+    if margins.overlap <= min(margins.free, margins.same_side):
+        return _too_little_overlap(evidence, margins, probability, config)
     blocked = max(evidence.source_in_target.blocked_ratio, evidence.target_in_source.blocked_ratio)
-    probability = min(max(score(evidence), 0.0), 1.0)
-    if oriented < config.min_oriented_overlap:
-        detail = f"oriented overlap {oriented:.3f} is below {config.min_oriented_overlap:g}"
-        return Decision(Verdict.REJECTED, Reason.LOW_OVERLAP, probability, detail)
-    if blocked / oriented > config.max_blocked_per_overlap:
-        limit = f"{config.max_blocked_per_overlap:g} of the oriented overlap {oriented:.3f}"
-        detail = f"blocked share {blocked:.3f} is above {limit}"
-        return Decision(Verdict.REJECTED, Reason.SIGHT_VIEW_BLOCKED, probability, detail)
-    if evidence.opposed_ratio / oriented > config.max_opposed_per_overlap:
-        detail = f"surfaces seen from both sides: {evidence.opposed_ratio:.3f} against oriented overlap {oriented:.3f}"
-        return Decision(Verdict.REJECTED, Reason.SIGHT_VIEW_BLOCKED, probability, detail)
-    return Decision(Verdict.ACCEPTED, Reason.OK, probability, "free sight lines and enough agreeing surface")
+    detail = (
+        f"blocked sight lines {blocked:.3f} and surfaces seen from both sides {evidence.opposed_ratio:.3f} "
+        f"against oriented overlap {agreeing:.3f}"
+    )
+    return Decision(Verdict.REJECTED, Reason.SIGHT_VIEW_BLOCKED, probability, detail)
+
+
+def _too_little_overlap(
+    evidence: SightViewEvidence, margins: Margins, probability: float, config: DecisionConfig
+) -> Decision:
+    """Nothing speaks against the pose but too little speaks for it: undecided near the border, rejected far from it."""
+    detail = f"oriented overlap {evidence.oriented_overlap_ratio:.3f} is below {config.min_oriented_overlap:g}"
+    if min(margins.free, margins.same_side) > 0 and margins.overlap > math.log(0.5):
+        return Decision(Verdict.UNDECIDED, Reason.INSUFFICIENT_EVIDENCE, probability, f"no contradiction, but {detail}")
+    return Decision(Verdict.REJECTED, Reason.LOW_OVERLAP, probability, detail)
+
+
+@dataclass(frozen=True)
+class Doubts:
+    """Evidence of poses that differ from the judged one.
+
+    others: further hypotheses, each refined; far_slips: the pose shifted far along the direction that the surfaces
+    resist least; near_slips: shifted half as far.
+    """
+
+    others: Sequence[SightViewEvidence]
+    far_slips: Sequence[SightViewEvidence]
+    near_slips: Sequence[SightViewEvidence]
+
+
+def doubt(decided: Decision, evidence: SightViewEvidence, doubts: Doubts, config: DecisionConfig) -> Decision:
+    """Withdraw an acceptance where a *different* pose is about as good.
+
+    Another refined pose is as good if its sight lines are free and its score comes near; a slip, which nothing
+    refined, needs less; any slip that even looks better tells that refinement stopped short of it.
+    """
+    if decided.verdict is not Verdict.ACCEPTED:
+        return decided
+    best = score(evidence)
+    rivals = [e for e in doubts.others if _is_free(e, config) and score(e) > config.rival_score_ratio * best]
+    rivals += [e for e in doubts.far_slips if _is_free(e, config) and score(e) > config.slip_score_ratio * best]
+    rivals += [e for e in (*doubts.far_slips, *doubts.near_slips) if score(e) > best]
+    return _ambiguous(decided, evidence, rivals[0]) if rivals else decided
+
+
+def _is_free(evidence: SightViewEvidence, config: DecisionConfig) -> bool:
+    margins = measure_margins(evidence, config)
+    return margins.free > math.log(config.rival_strictness) and margins.same_side > 0 and margins.overlap > 0
+
+
+def _ambiguous(decided: Decision, evidence: SightViewEvidence, other: SightViewEvidence) -> Decision:
+    detail = (
+        f"a different pose is as good: oriented overlap {other.oriented_overlap_ratio:.3f} against "
+        f"{evidence.oriented_overlap_ratio:.3f}, with free sight lines"
+    )
+    return Decision(Verdict.UNDECIDED, Reason.AMBIGUOUS, min(decided.probability, 0.49), detail)
 
 
 def moved_away(angle_deg: float, distance_m: float) -> Decision:
     """The answer on a given pose that refinement did not leave where it was."""
     detail = f"refinement moved the pose by {angle_deg:.2f} deg and {distance_m:.2f} m: a different pose fits better"
-    return Decision(Verdict.REJECTED, Reason.AMBIGUOUS, 0.0, detail)
+    return Decision(Verdict.REJECTED, Reason.AMBIGUOUS, 0.01, detail)

@@ -15,18 +15,22 @@ class SightLines:
 
     num_lines: sight lines that were checked; num_observed: lines along which the other scan has a point (the
     paper's region of interest); blocked_idx: (B,) indices into the observer's prepared points whose line another
-    point blocks; blocker_idx: (B,) the point of the other scan that blocks it.
+    point blocks; blocker_idx: (B,) the point of the other scan that blocks it; num_scattered: blocked lines outside the
+    few most blocked azimuth sectors: a moving object blocks one sector, a wrong pose all of them.
     """
 
     num_lines: int
     num_observed: int
     blocked_idx: IndexArray
     blocker_idx: IndexArray
+    num_scattered: int = -1  # not counted: all of them
 
     def __post_init__(self) -> None:
         for name in ("blocked_idx", "blocker_idx"):
             array = frozen_array(getattr(self, name), np.int64, f"SightLines.{name}", (None,))
             object.__setattr__(self, name, array)
+        if self.num_scattered < 0:
+            object.__setattr__(self, "num_scattered", len(self.blocked_idx))
 
     @property
     def num_blocked(self) -> int:
@@ -37,6 +41,11 @@ class SightLines:
     def blocked_ratio(self) -> float:
         """Blocked share of all sight lines, in [0, 1]; 0 where there are none."""
         return self.num_blocked / self.num_lines if self.num_lines else 0.0
+
+    @property
+    def scattered_ratio(self) -> float:
+        """Scattered share of all sight lines, in [0, 1]."""
+        return self.num_scattered / self.num_lines if self.num_lines else 0.0
 
     @property
     def observed_ratio(self) -> float:
@@ -68,6 +77,8 @@ class SightViewEvidence:
             "overlap_ratio": self.overlap_ratio,
             "oriented_overlap_ratio": self.oriented_overlap_ratio,
             "opposed_ratio": self.opposed_ratio,
+            "scattered_ratio_source_in_target": near.scattered_ratio,
+            "scattered_ratio_target_in_source": far.scattered_ratio,
             "observed_ratio_source_in_target": near.observed_ratio,
             "observed_ratio_target_in_source": far.observed_ratio,
             "num_blocked_source_in_target": near.num_blocked,

@@ -14,6 +14,7 @@ import numpy as np
 from svc_ros.core import decision, paper_rule, shortlist
 from svc_ros.core.config import Config
 from svc_ros.core.evidence import SightViewEvidence
+from svc_ros.core.observability import SurfaceContact, find_contact, shift
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Array, Correspondences, HypothesisSet, PreparedScan
 from svc_ros.core.se3 import pose_error
@@ -41,12 +42,18 @@ class Pair:
         with self.watch.stage("refinement"):
             return shortlist.refine_by_icp(T, self.source, self.target, self.config.shortlist, num_points)
 
+    def contact(self, T: Array) -> SurfaceContact:
+        """The agreeing surface under one pose."""
+        with self.watch.stage("observability"):
+            return find_contact(self.source, self.target, T, self.config.sight_view)
+
     def answer(self, T: Array, evidence: SightViewEvidence | None, decided: decision.Decision) -> RegistrationResult:
         """The result for the pose T; it is the transform exactly if the verdict is ACCEPTED."""
         accepted = decided.verdict is Verdict.ACCEPTED
+        covariance = self.contact(T).covariance(self.config.covariance) if accepted else None
         return RegistrationResult(
             decided.verdict, decided.reason, self.config.method, T if accepted else None, T,
-            None, decided.probability, evidence, self.counts, self.watch.times(), decided.detail,
+            covariance, decided.probability, evidence, self.counts, self.watch.times(), decided.detail,
         )  # fmt: skip
 
 
@@ -100,12 +107,13 @@ def choose_svc(pair: Pair, correspondences: Correspondences, hypotheses: Hypothe
     config = pair.config
     with pair.watch.stage("shortlist"):
         starts = shortlist.shortlist(hypotheses, correspondences, (pair.source, pair.target), config)
-    refined = [pair.refine(T, config.shortlist.icp_points).T_target_source for T in starts]
-    scores = [decision.score(pair.look(T)) for T in refined]
+    refined = np.array([pair.refine(T, config.shortlist.icp_points).T_target_source for T in starts])
+    evidence = [pair.look(T) for T in refined]
     pair.counts["judged"] = len(refined)
-    T = pair.refine(refined[int(np.argmax(scores))], len(pair.source)).T_target_source
-    evidence = pair.look(T)
-    return pair.answer(T, evidence, decision.decide(evidence, config.decision))
+    best = int(np.argmax([decision.score(e) for e in evidence]))
+    T = _settle(pair, refined[best])
+    near = shortlist.find_near(refined, T, config.shortlist)
+    return _judge(pair, T, [e for e, same in zip(evidence, near, strict=True) if not same])
 
 
 def verify_svc(pair: Pair, T: Array) -> RegistrationResult:
@@ -113,12 +121,40 @@ def verify_svc(pair: Pair, T: Array) -> RegistrationResult:
     refined = pair.refine(T, len(pair.source)).T_target_source
     angle, distance = pose_error(refined, T)
     limits = pair.config.shortlist
-    evidence = pair.look(refined)
-    decided = decision.decide(evidence, pair.config.decision)
     if angle > limits.max_moved_rotation_deg or distance > limits.max_moved_translation_m:
-        decided = decision.moved_away(angle, distance)
-        return pair.answer(T, pair.look(T), decided)
-    return pair.answer(refined, evidence, decided)
+        return pair.answer(T, pair.look(T), decision.moved_away(angle, distance))
+    return _judge(pair, refined, [])
+
+
+def _judge(pair: Pair, T: Array, others: list[SightViewEvidence]) -> RegistrationResult:
+    """Decide on a refined pose; an acceptance stands only if no different pose is about as good."""
+    evidence = pair.look(T)
+    decided = decision.decide(evidence, pair.config.decision)
+    if decided.verdict is Verdict.ACCEPTED:
+        far_back, back, ahead, far_ahead = (pair.look(slip) for slip in _slips(pair, T))
+        doubts = decision.Doubts(others, [far_back, far_ahead], [back, ahead])
+        decided = decision.doubt(decided, evidence, doubts, pair.config.decision)
+    return pair.answer(T, evidence, decided)
+
+
+def _settle(pair: Pair, T: Array) -> Array:
+    """Refine with all points; where a slip along the weakest direction looks better, refine from there instead."""
+    num_points = len(pair.source)
+    T = pair.refine(T, num_points).T_target_source
+    start = decision.score(pair.look(T))
+    slips = _slips(pair, T)
+    scores = [decision.score(pair.look(slip)) for slip in slips]
+    if max(scores) <= start:
+        return T
+    other = pair.refine(slips[int(np.argmax(scores))], num_points).T_target_source
+    return other if decision.score(pair.look(other)) > start else T
+
+
+def _slips(pair: Pair, T: Array) -> list[Array]:
+    """The pose, moved both ways along the direction that the agreeing surface resists least, near and far."""
+    direction, _ = pair.contact(T).weakest_direction()
+    slip = pair.config.decision.slip_m
+    return [shift(T, direction, distance) for distance in (-slip, -0.5 * slip, 0.5 * slip, slip)]
 
 
 Chooser = Callable[[Pair, Correspondences, HypothesisSet], RegistrationResult]

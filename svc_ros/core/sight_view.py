@@ -63,4 +63,15 @@ def _find_blocked(
         grid.cell_starts, grid.rows, grid.columns, limits, blocker, blocker_range, observed,
     )  # fmt: skip
     blocked = np.flatnonzero(blocker >= 0)
-    return SightLines(num, int(observed.sum()), blocked, blocker[blocked])
+    scattered = count_scattered(observer.points - observer.sensor_origin, blocked, config)
+    return SightLines(num, int(observed.sum()), blocked, blocker[blocked], scattered)
+
+
+def count_scattered(relative_points: Array, blocked_idx: NDArray[np.int64], config: SightViewConfig) -> int:
+    """Blocked lines outside the most blocked azimuth sectors; of a narrow view at most an eighth is left out."""
+    azimuth = np.degrees(np.arctan2(relative_points[:, 1], relative_points[:, 0])) + 180.0
+    sector = np.floor(azimuth / config.sector_deg).astype(np.int64)
+    num_seen = int(np.count_nonzero(np.bincount(sector)))
+    forgiven = min(config.forgiven_sectors, num_seen // 8)
+    counts = np.sort(np.bincount(sector[blocked_idx]))
+    return int(counts[: max(len(counts) - forgiven, 0)].sum())

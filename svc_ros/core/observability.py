@@ -1,0 +1,69 @@
+"""What the agreeing surface of two scans says about a pose: its covariance, and the direction it says least about."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from svc_ros.core import se3
+from svc_ros.core.config import CovarianceConfig, SightViewConfig
+from svc_ros.core.neighbours import radius_grid
+from svc_ros.core.scan import Array, PreparedScan
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceContact:
+    """Point-to-plane constraints between a placed source and the target.
+
+    points: (K, 3) [m] placed source points; normals: (K, 3) of the target surface they lie on; residuals: (K,) [m].
+    """
+
+    points: Array
+    normals: Array
+    residuals: Array
+
+    def information(self) -> Array:
+        """Sum of J^T J (6, 6), J = [n, p x n]: translation, then rotation about the target's origin."""
+        jacobian = np.hstack((self.normals, np.cross(self.points, self.normals)))
+        return np.asarray(jacobian.T @ jacobian)
+
+    def weakest_direction(self) -> tuple[Array, float]:
+        """Unit direction (3,) along which the surfaces resist a shift least, and how much (0: none, 1/3: evenly)."""
+        strength, axes = np.linalg.eigh(self.normals.T @ self.normals / max(len(self.normals), 1))
+        axis = axes[:, 0]
+        return axis * np.sign(axis[np.argmax(np.abs(axis))]), float(max(strength[0], 0.0))
+
+    def covariance(self, config: CovarianceConfig) -> Array:
+        """Covariance (6, 6) of the pose: x y z [m], rotations about x y z [rad], left perturbation, target frame.
+
+        Neighbouring points of one surface share their errors, so only one in `points_per_constraint` counts. A floor
+        stands for what the residuals do not show: sensor calibration, motion within a sweep.
+        """
+        variance = float(np.mean(np.square(self.residuals))) if len(self.residuals) else 1.0
+        ridge = np.diag([1.0] * 3 + [1.0] * 3)  # keeps directions without any constraint finite
+        information = self.information() / config.points_per_constraint / max(variance, 1e-8)
+        floor = np.diag([config.floor_translation_m**2] * 3 + [np.radians(config.floor_rotation_deg) ** 2] * 3)
+        covariance = np.linalg.inv(information + ridge) + floor
+        return np.asarray(0.5 * (covariance + covariance.T))
+
+
+def find_contact(
+    source: PreparedScan, target: PreparedScan, T_target_source: Array, config: SightViewConfig
+) -> SurfaceContact:
+    """Source points that lie on target surface facing the same way, with the planes they lie on."""
+    points, normals = se3.apply(T_target_source, source.points), se3.rotate(T_target_source, source.normals)
+    nearest = radius_grid(target, config.tolerance_m).nearest(points)
+    near = np.flatnonzero(nearest >= 0)
+    planes = target.normals[nearest[near]]
+    same = np.einsum("ij,ij->i", normals[near], planes) > config.same_side_cosine
+    chosen, planes = near[same], planes[same]
+    offset = points[chosen] - target.points[nearest[chosen]]
+    return SurfaceContact(points[chosen], planes, np.einsum("ij,ij->i", offset, planes))
+
+
+def shift(T_target_source: Array, direction: Array, distance_m: float) -> Array:
+    """The pose (4, 4), moved along a direction (3,) of the target frame."""
+    moved = np.array(T_target_source, np.float64)
+    moved[:3, 3] += distance_m * direction
+    return moved
