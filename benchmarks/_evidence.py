@@ -1,0 +1,159 @@
+"""Everything that is measured of one labelled pose, once; every decision rule then works on these numbers."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from _common import config_of
+
+from svc_ros.core import decision, paper_rule, selection
+from svc_ros.core.config import Config, DecisionConfig, with_values
+from svc_ros.core.evidence import SightLines, SightViewEvidence
+from svc_ros.core.observability import shift
+from svc_ros.core.registration import prepare, verify
+from svc_ros.core.result import Verdict
+from svc_ros.core.scan import Array, PreparedScan
+from svc_ros.core.se3 import invert, pose_error
+from svc_ros.core.sight_view import gather_evidence
+from svc_ros.core.stopwatch import Stopwatch
+from svc_ros.io.datasets import Candidate, CandidatePair, Dataset
+
+PAPER_CONE_DEG = 0.4438
+Numbers = Mapping[str, float]
+
+# A view is a pose and a way to look at it: refined as `verify` does; as given; refined, with the paper's cone.
+VIEWS = ("refined", "given", "cone")
+_EVERY = 10  # one pose in so many is also given to `verify` itself
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Information (6, 6), residual variance and error (6,) [m, rad] of a refined pose against the reference."""
+
+    information: Array
+    variance: float
+    error: Array
+
+
+@dataclass(frozen=True)
+class Row:
+    """One labelled pose. seen: evidence of each view; slips: evidence of the shifted poses of a view, far_back, back,
+    ahead, far_ahead, where any rule might accept it; contact: of right poses only; verified: verdict and probability
+    that `verify` gave, for a sample of poses."""
+
+    dataset: str
+    pair: str
+    origin: str
+    correct: bool
+    moved: tuple[float, float]
+    seen: Mapping[str, Numbers]
+    slips: Mapping[str, Sequence[Numbers]]
+    paper_blocked: float
+    paper_passed: bool
+    contact: Contact | None = None
+    verified: tuple[str, float] | None = field(default=None)
+
+
+def evidence_of(numbers: Numbers) -> SightViewEvidence:
+    """Evidence with these numbers; which lines are blocked is not known any more."""
+
+    def lines(way: str) -> SightLines:
+        num_lines, num_blocked = int(numbers[f"num_lines_{way}"]), int(numbers[f"num_blocked_{way}"])
+        names = np.zeros(num_blocked, np.int64)
+        observed, scattered = (round(numbers[f"{name}_ratio_{way}"] * num_lines) for name in ("observed", "scattered"))
+        return SightLines(num_lines, observed, names, names, scattered)
+
+    return SightViewEvidence(
+        lines("source_in_target"), lines("target_in_source"),
+        numbers["overlap_ratio"], numbers["oriented_overlap_ratio"], numbers["opposed_ratio"],
+    )  # fmt: skip
+
+
+def gather(job: tuple[Dataset, CandidatePair, int]) -> list[Row]:
+    """The rows of all labelled poses of one pair; grey ones are left out. `job` ends with the pair's number."""
+    dataset, labelled, number = job
+    config = config_of(dataset)
+    source, target = (prepare(dataset.read_scan(path), config) for path in (labelled.source, labelled.target))
+    reference = next(c.T_target_source for c in labelled.candidates if c.origin == "reference")
+    name = f"{labelled.source} -> {labelled.target}"
+    chosen = [c for c in labelled.candidates if c.label != "grey"]
+    rows = []
+    for k, candidate in enumerate(chosen):
+        row = _measure((source, target), config, candidate, reference)
+        if (k + number) % _EVERY == 0:
+            result = verify(source, target, candidate.T_target_source, config)
+            row = dataclasses.replace(row, verified=(result.verdict.value, float(result.probability or 0.0)))
+        rows.append(dataclasses.replace(row, dataset=dataset.name, pair=name))
+    return rows
+
+
+def _measure(scans: tuple[PreparedScan, PreparedScan], config: Config, candidate: Candidate, reference: Array) -> Row:
+    pair = selection.Pair(*scans, config, {}, Stopwatch())
+    given = candidate.T_target_source
+    refined = pair.refine(given, len(scans[0])).T_target_source
+    cone = with_values(config, {f"sight_view.{end}_cone_deg": PAPER_CONE_DEG for end in ("min", "max")}).sight_view
+    views = {
+        "refined": (refined, config.sight_view), "given": (given, config.sight_view), "cone": (refined, cone)
+    }  # fmt: skip
+    seen: dict[str, Numbers] = {}
+    slips: dict[str, list[Numbers]] = {}
+    for view, (T, sight_view) in views.items():
+        evidence = gather_evidence(*scans, T, sight_view)
+        seen[view] = evidence.numbers()
+        if _may_be_accepted(evidence, config.decision):
+            slips[view] = [gather_evidence(*scans, slip, sight_view).numbers() for slip in slipped(pair, T)]
+    in_target, in_source, passed = paper_rule.check_both_ways(*scans, given, config.paper)
+    correct = candidate.label == "correct"
+    return Row(
+        "", "", candidate.origin, correct, pose_error(refined, given), seen, slips,
+        max(in_target.blocked_ratio, in_source.blocked_ratio), passed,
+        _contact(pair, refined, reference) if correct else None,
+    )  # fmt: skip
+
+
+def slipped(pair: selection.Pair, T: Array) -> list[Array]:
+    """The shifted poses that `verify` looks at: far back, back, ahead, far ahead."""
+    direction, _ = pair.contact(T).weakest_direction()
+    far = pair.config.decision.slip_m
+    return [shift(T, direction, distance) for distance in (-far, -0.5 * far, 0.5 * far, far)]
+
+
+def _may_be_accepted(evidence: SightViewEvidence, config: DecisionConfig) -> bool:
+    """Whether any rule that is compared might accept it: without the blocked and opposed borders, low overlap."""
+    loose = dataclasses.replace(
+        config, max_blocked_per_overlap=10.0, max_scattered_per_overlap=10.0, max_opposed_per_overlap=10.0,
+        min_oriented_overlap=0.5 * config.min_oriented_overlap,
+    )  # fmt: skip
+    plain = dataclasses.replace(evidence, oriented_overlap_ratio=evidence.overlap_ratio)
+    return any(decision.decide(e, loose).verdict is Verdict.ACCEPTED for e in (evidence, plain))
+
+
+def _contact(pair: selection.Pair, T: Array, reference: Array) -> Contact:
+    contact = pair.contact(T)
+    variance = float(np.mean(np.square(contact.residuals))) if len(contact.residuals) else 1.0
+    return Contact(contact.information(), variance, pose_difference(T, reference))
+
+
+def pose_difference(T: Array, reference: Array) -> Array:
+    """Left perturbation (6,) [m, rad] that leads from the reference to T, in the order of the covariance."""
+    from scipy.spatial.transform import Rotation
+
+    difference = T @ invert(reference)
+    return np.concatenate((difference[:3, 3], Rotation.from_matrix(difference[:3, :3]).as_rotvec()))
+
+
+def check_against_verify(rows: Sequence[Row], answers: Mapping[int, Any]) -> tuple[int, int]:
+    """How many poses of the sample `verify` answered as the rule did that was put together here, and how many differ.
+
+    answers: (accepted, probability) by the row's index.
+    """
+    same = [
+        (row.verified[0] == "accepted") == answers[k][0] and abs(row.verified[1] - answers[k][1]) < 1e-3
+        for k, row in enumerate(rows)
+        if row.verified is not None
+    ]
+    return sum(same), len(same) - sum(same)

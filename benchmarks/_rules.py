@@ -1,0 +1,147 @@
+"""Decision rules that are compared: each gives every pose a score and an answer."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from _evidence import Numbers, Row, evidence_of
+from scipy.optimize import minimize
+
+from svc_ros.core import decision
+from svc_ros.core.config import Config, DecisionConfig
+from svc_ros.core.evidence import SightViewEvidence
+from svc_ros.core.result import Verdict
+from svc_ros.core.scan import Array
+
+MOVED_AWAY = 0.01  # probability of a pose that refinement did not leave where it was; as in core/decision.py
+OPEN = 10.0  # a border that nothing reaches
+Answer = tuple[bool, float]  # accepted, score
+Configs = Mapping[str, Config]
+
+
+@dataclass(frozen=True)
+class Variant:
+    """svc with something taken away: another view of the pose, other borders, plain overlap, no doubts by slips."""
+
+    view: str = "refined"
+    borders: Mapping[str, float] = field(default_factory=dict)
+    plain_overlap: bool = False
+    slips: bool = True
+
+
+SVC = "svc"
+VARIANTS: dict[str, Variant] = {
+    SVC: Variant(),
+    "svc, not refined": Variant(view="given"),
+    "svc, blocked share only, no scattered": Variant(borders={"max_scattered_per_overlap": OPEN}),
+    "svc, scattered share only, no blocked": Variant(borders={"max_blocked_per_overlap": OPEN}),
+    "svc, no sight lines": Variant(borders={"max_scattered_per_overlap": OPEN, "max_blocked_per_overlap": OPEN}),
+    "svc, plain overlap": Variant(plain_overlap=True),
+    "svc, opposed surfaces allowed": Variant(borders={"max_opposed_per_overlap": OPEN}),
+    "svc, no doubt by slips": Variant(slips=False),
+    "svc, cone 0.4438 deg": Variant(view="cone"),
+}
+
+
+def is_moved(row: Row, config: Config) -> bool:
+    """Whether refinement took the pose farther than a right one may go."""
+    limits = config.shortlist
+    return row.moved[0] > limits.max_moved_rotation_deg or row.moved[1] > limits.max_moved_translation_m
+
+
+def answer_variant(row: Row, config: Config, variant: Variant) -> Answer:
+    """What svc answers with that taken away; the score is its probability."""
+    if variant.view != "given" and is_moved(row, config):
+        return False, MOVED_AWAY
+    borders = dataclasses.replace(config.decision, **variant.borders)
+
+    def evidence(numbers: Numbers) -> SightViewEvidence:
+        found = evidence_of(numbers)
+        agreeing = found.overlap_ratio if variant.plain_overlap else found.oriented_overlap_ratio
+        return dataclasses.replace(found, oriented_overlap_ratio=agreeing)
+
+    seen = evidence(row.seen[variant.view])
+    decided = decision.decide(seen, borders)
+    if decided.verdict is Verdict.ACCEPTED and variant.slips:
+        far_back, back, ahead, far_ahead = map(evidence, row.slips[variant.view])
+        decided = decision.doubt(decided, seen, decision.Doubts([], [far_back, far_ahead], [back, ahead]), borders)
+    return decided.verdict is Verdict.ACCEPTED, decided.probability
+
+
+def answer_paper(row: Row) -> Answer:
+    """The published rule on the pose as it was given."""
+    return row.paper_passed, 1.0 - row.paper_blocked
+
+
+def answer_overlap(row: Row) -> Answer:
+    """Overlap of at least 0.3, on the pose as it was given."""
+    overlap = row.seen["given"]["overlap_ratio"]
+    return overlap >= 0.3, overlap
+
+
+def smallest_margin(row: Row, config: Config, borders: Mapping[str, float]) -> float:
+    """The log margin that decides, without doubts; far below all others where refinement moved the pose away."""
+    if is_moved(row, config):
+        return -99.0
+    return decision.measure_margins(evidence_of(row.seen["refined"]), _with(config.decision, borders)).smallest
+
+
+def _with(config: DecisionConfig, borders: Mapping[str, float]) -> DecisionConfig:
+    return dataclasses.replace(config, **borders)
+
+
+# --- logistic regression over few numbers -----------------------------------------------------------------------------
+
+
+def features_without_sight_lines(row: Row) -> list[float]:
+    """Overlap, oriented overlap and opposed surfaces of the refined pose."""
+    n = row.seen["refined"]
+    return [n["overlap_ratio"], n["oriented_overlap_ratio"], n["opposed_ratio"]]
+
+
+def features_with_sight_lines(row: Row) -> list[float]:
+    """The same and what is blocked and scattered, as logarithms of shares of the oriented overlap."""
+    n = row.seen["refined"]
+    agreeing = max(n["oriented_overlap_ratio"], 1e-3)
+    shares = [
+        max(n[f"{kind}_ratio_source_in_target"], n[f"{kind}_ratio_target_in_source"])
+        for kind in ("blocked", "scattered")
+    ]
+    return [*features_without_sight_lines(row), *(float(np.log((s + 1e-3) / agreeing)) for s in shares)]
+
+
+def fit_logistic(features: Array, correct: Array) -> Callable[[Array], Array]:
+    """Probability (N,) of features (N, D); both classes weigh the same, a weak ridge keeps separable data finite."""
+    mean, spread = features.mean(0), np.maximum(features.std(0), 1e-9)
+    weights = np.where(correct, 0.5 / max(correct.mean(), 1e-9), 0.5 / max(1.0 - correct.mean(), 1e-9))
+    sign = np.where(correct, 1.0, -1.0)
+
+    def design(x: Array) -> Array:
+        return np.hstack((np.ones((len(x), 1)), (x - mean) / spread))
+
+    X = design(features)
+
+    def loss(w: Array) -> tuple[float, Array]:
+        margin = sign * (X @ w)
+        wrongness = 1.0 / (1.0 + np.exp(np.clip(margin, -50, 50)))
+        ridge = 1e-3 * np.append(0.0, w[1:])
+        value = float(np.mean(weights * np.logaddexp(0.0, -margin)) + 0.5 * ridge @ w)
+        return value, -(X * (weights * sign * wrongness)[:, None]).mean(0) + ridge
+
+    w = minimize(loss, np.zeros(X.shape[1]), jac=True, method="L-BFGS-B").x
+    return lambda x: 1.0 / (1.0 + np.exp(-np.clip(design(x) @ w, -50, 50)))
+
+
+def answer_logistic(rows: Sequence[Row], configs: Configs, describe: Callable[[Row], list[float]]) -> list[Answer]:
+    """Each set's poses by the model fitted on all other sets; poses that refinement moves away are refused."""
+    features, correct = np.array([describe(row) for row in rows]), np.array([row.correct for row in rows])
+    names, moved = np.array([row.dataset for row in rows]), np.array([is_moved(r, configs[r.dataset]) for r in rows])
+    probability = np.full(len(rows), MOVED_AWAY)
+    for name in np.unique(names):
+        model = fit_logistic(features[(names != name) & ~moved], correct[(names != name) & ~moved])
+        tested = (names == name) & ~moved
+        probability[tested] = model(features[tested])
+    return [(p >= 0.5, float(p)) for p in probability]
