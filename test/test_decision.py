@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -62,3 +63,113 @@ def test_contact_is_good_and_blocking_is_bad_for_the_score():
     assert decision.score(evidence(overlap=0.5)) > decision.score(evidence(overlap=0.3))
     assert decision.score(evidence(blocked=0.1)) < decision.score(evidence())
     assert decision.score(evidence(other=0.1)) < decision.score(evidence())
+
+
+def test_margins_are_zero_on_the_borders_and_positive_on_the_good_side():
+    config = DecisionConfig()
+    agreeing = 0.5
+    for border, limit in (
+        ("free", {"blocked": config.max_blocked_per_overlap}),
+        ("free", {"other": config.max_blocked_per_overlap}),
+        ("same_side", {"opposed": config.max_opposed_per_overlap}),
+    ):
+        values = []
+        for factor in (0.5, 1.0, 2.0):
+            case = evidence(overlap=agreeing, **{name: factor * value * agreeing for name, value in limit.items()})
+            values.append(getattr(decision.measure_margins(scatter(case, 0), config), border))
+        assert values[0] > values[1] > values[2]
+        assert values[0] > 0 > values[2]
+        assert values[1] == pytest.approx(0.0, abs=0.05)  # up to the floor of a thousandth
+    low, high = (
+        decision.measure_margins(evidence(overlap=f * config.min_oriented_overlap), config) for f in (0.9, 1.1)
+    )
+    assert low.overlap < 0 < high.overlap
+    assert low.smallest <= low.overlap
+
+
+def scatter(case: SightViewEvidence, num: int) -> SightViewEvidence:
+    """The same evidence with `num` of the blocked lines outside the most blocked sectors, either way."""
+    ways = (dataclasses.replace(way, num_scattered=min(num, way.num_blocked))
+            for way in (case.source_in_target, case.target_in_source))  # fmt: skip
+    return SightViewEvidence(*ways, case.overlap_ratio, case.oriented_overlap_ratio, case.opposed_ratio)
+
+
+def test_blocks_in_a_few_sectors_weigh_less_than_blocks_all_around():
+    """What one moving object hides lies in one direction; a wrong pose contradicts everywhere."""
+    config = DecisionConfig()
+    share = 0.5 * (config.max_scattered_per_overlap + config.max_blocked_per_overlap) * 0.8
+    one_object, everywhere = scatter(evidence(blocked=share, overlap=0.8), 0), evidence(blocked=share, overlap=0.8)
+    assert everywhere.source_in_target.num_scattered == everywhere.source_in_target.num_blocked
+    assert decision.decide(one_object, config).verdict is Verdict.ACCEPTED
+    assert decision.decide(everywhere, config).verdict is Verdict.REJECTED
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_probability_is_a_half_at_the_border_and_follows_the_margin(name):
+    config = preset(name).decision
+    cases = [scatter(evidence(blocked=b, overlap=o), 0) for b in np.linspace(0, 0.2, 21) for o in (0.05, 0.3, 0.9)]
+    margins = np.array([decision.measure_margins(case, config).smallest for case in cases])
+    decided = [decision.decide(case, config) for case in cases]
+    order = np.argsort(margins)
+    assert (np.diff(np.array([d.probability for d in decided])[order]) >= 0).all()
+    for margin, one in zip(margins, decided, strict=True):
+        assert (one.probability > 0.5) is bool(margin > 0)
+        assert one.verdict is Verdict.ACCEPTED or margin <= 0
+        assert one.verdict is not Verdict.ACCEPTED or margin > 0
+
+
+def test_little_overlap_without_contradiction_is_undecided_and_none_is_rejected():
+    config = DecisionConfig()
+    near, far = (evidence(overlap=f * config.min_oriented_overlap) for f in (0.9, 0.1))
+    assert decision.decide(near, config).reason is Reason.INSUFFICIENT_EVIDENCE
+    assert decision.decide(near, config).verdict is Verdict.UNDECIDED
+    assert decision.decide(far, config).verdict is Verdict.REJECTED
+    assert decision.decide(far, config).reason is Reason.LOW_OVERLAP
+
+
+NO_DOUBTS = decision.Doubts([], [], [])
+RIGHT = evidence(overlap=0.8)
+
+
+@pytest.mark.parametrize("kind", ["others", "far_slips"])
+def test_a_different_pose_that_is_as_good_takes_the_acceptance_back(kind):
+    config = DecisionConfig()
+    accepted = decision.decide(RIGHT, config)
+    for rival, verdict in (
+        (evidence(overlap=0.79), Verdict.UNDECIDED),
+        (evidence(overlap=0.3), Verdict.ACCEPTED),  # free as well, but much worse
+        (evidence(blocked=0.5, overlap=0.79), Verdict.ACCEPTED),  # contradicted
+    ):
+        doubted = decision.doubt(accepted, RIGHT, dataclasses.replace(NO_DOUBTS, **{kind: [rival]}), config)
+        assert doubted.verdict is verdict
+        assert doubted.reason is (Reason.AMBIGUOUS if verdict is Verdict.UNDECIDED else Reason.OK)
+        assert (doubted.probability < 0.5) is (verdict is Verdict.UNDECIDED)
+        assert doubted.detail
+
+
+@pytest.mark.parametrize("kind", ["far_slips", "near_slips"])
+def test_a_slip_that_looks_better_takes_the_acceptance_back_even_if_it_is_blocked(kind):
+    worse = evidence(blocked=0.05, overlap=0.8)
+    accepted = decision.decide(scatter(worse, 0), DecisionConfig())
+    better = evidence(blocked=0.04, overlap=0.8)
+    assert accepted.verdict is Verdict.ACCEPTED
+    doubted = decision.doubt(accepted, worse, dataclasses.replace(NO_DOUBTS, **{kind: [better]}), DecisionConfig())
+    assert (doubted.verdict, doubted.reason) == (Verdict.UNDECIDED, Reason.AMBIGUOUS)
+
+
+def test_doubt_never_turns_a_no_into_a_yes():
+    config = DecisionConfig()
+    for case in (evidence(blocked=0.8), evidence(overlap=0.0), evidence(overlap=0.09)):
+        decided = decision.decide(case, config)
+        rivals = [evidence(), evidence(overlap=0.1), evidence(blocked=0.9)]
+        assert decision.doubt(decided, case, decision.Doubts(rivals, rivals, rivals), config) is decided
+    accepted = decision.decide(RIGHT, config)
+    assert decision.doubt(accepted, RIGHT, NO_DOUBTS, config) is accepted
+
+
+def test_a_pose_that_refinement_left_is_rejected_and_says_how_far():
+    decided = decision.moved_away(12.34, 5.67)
+    assert (decided.verdict, decided.reason) == (Verdict.REJECTED, Reason.AMBIGUOUS)
+    assert decided.probability < 0.5
+    assert "12.34" in decided.detail
+    assert "5.67" in decided.detail

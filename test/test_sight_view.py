@@ -12,7 +12,7 @@ from svc_ros.core import paper_rule, se3
 from svc_ros.core.config import PaperConfig, SightViewConfig
 from svc_ros.core.preprocess import preprocess
 from svc_ros.core.scan import PreparedScan
-from svc_ros.core.sight_view import gather_evidence
+from svc_ros.core.sight_view import cone_half_angle_deg, count_scattered, gather_evidence
 
 
 def fixed_cone(half_angle_deg: float, tolerance: float, radius: float, incidence_deg: float) -> SightViewConfig:
@@ -194,3 +194,75 @@ def test_exchanged_scans_give_exchanged_evidence():
         np.testing.assert_array_equal(one.blocker_idx, other.blocker_idx)
     assert there.overlap_ratio == back.overlap_ratio
     assert there.oriented_overlap_ratio == back.oriented_overlap_ratio
+
+
+@pytest.mark.parametrize(
+    ("spacing_deg", "expected"), [(0.0, 0.25), (0.1, 0.25), (0.4, 0.3), (1.0, 0.75), (2.0, 1.5), (9.0, 1.5)]
+)
+def test_the_cone_is_a_share_of_the_beam_spacing_within_bounds(spacing_deg, expected):
+    config = SightViewConfig(cone_beams=0.75, min_cone_deg=0.25, max_cone_deg=1.5)
+    scan = PreparedScan(np.ones((1, 3)), np.ones((1, 3)), np.zeros(3), 0.3, beam_spacing_deg=spacing_deg)
+    assert cone_half_angle_deg(scan, config) == pytest.approx(expected)
+
+
+def all_around(per_sector: list[int], sector_deg: float = 10.0) -> tuple[np.ndarray, np.ndarray]:
+    """Points in every sector, and which of them are blocked: that many in each sector, in order."""
+    azimuth = np.radians(np.arange(0.05, 360.0, 0.1) - 180.0)
+    points = 10.0 * np.column_stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth])
+    width = round(sector_deg * 10)
+    blocked = [np.arange(width * i, width * i + num) for i, num in enumerate(per_sector)]
+    return points, np.concatenate(blocked).astype(np.int64)
+
+
+def test_scattered_lines_are_those_outside_the_most_blocked_sectors():
+    config = SightViewConfig(sector_deg=10.0, forgiven_sectors=2)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        per_sector = rng.integers(0, 60, 36).tolist()
+        points, blocked = all_around(per_sector)
+        assert count_scattered(points, blocked, config) == sum(sorted(per_sector)[:-2])
+    assert count_scattered(*all_around([0] * 10 + [80, 70]), config) == 0
+    assert count_scattered(*all_around([0] * 36), config) == 0
+
+
+def test_of_a_narrow_view_little_is_forgiven():
+    """A camera sees six sectors: leaving two out would forgive a third of what it sees."""
+    config = SightViewConfig(sector_deg=10.0, forgiven_sectors=2)
+    points, blocked = all_around([50, 40, 30])
+    for num_sectors, forgiven in ((6, 0), (8, 1), (15, 1), (16, 2), (36, 2)):
+        seen = points[: 100 * num_sectors]
+        assert count_scattered(seen, blocked, config) == [120, 70, 30][forgiven]
+
+
+def test_nothing_is_scattered_beyond_what_is_blocked():
+    for seed in range(3):
+        evidence = gather_evidence(random_scan(700, seed), random_scan(600, seed + 9), POSE, WIDE)
+        for lines in (evidence.source_in_target, evidence.target_in_source):
+            assert 0 < lines.num_scattered <= lines.num_blocked <= lines.num_observed <= lines.num_lines
+
+
+@pytest.mark.parametrize("kind", ["order", "motion"])
+def test_what_is_seen_does_not_depend_on_how_scans_are_written_down(kind):
+    """Prepared points in another order, or both scans in frames of their own, sensors moved as well."""
+    source, target = random_scan(500, 1), random_scan(450, 2, origin=(1, 1, 0))
+    expected = gather_evidence(source, target, POSE, WIDE)
+    if kind == "order":
+        rng = np.random.default_rng(0)
+        orders = [rng.permutation(len(scan)) for scan in (source, target)]
+        scans = [
+            prepared(s.points[o], s.normals[o], s.sensor_origin) for s, o in zip((source, target), orders, strict=True)
+        ]
+        T = POSE
+    else:
+        motions = [se3.make_pose(R.as_matrix(), (5.0, -3, 1)) for R in Rotation.random(2, random_state=0)]
+        scans = [prepared(se3.apply(M, s.points), se3.rotate(M, s.normals), se3.apply(M, s.sensor_origin[None])[0])
+                 for s, M in zip((source, target), motions, strict=True)]  # fmt: skip
+        T = motions[1] @ POSE @ se3.invert(motions[0])
+    found = gather_evidence(*scans, T, WIDE)
+    for name in ("overlap_ratio", "oriented_overlap_ratio", "opposed_ratio"):
+        assert getattr(found, name) == pytest.approx(getattr(expected, name), abs=1e-12)
+    for way in ("source_in_target", "target_in_source"):
+        one, other = getattr(found, way), getattr(expected, way)
+        assert (one.num_lines, one.num_observed, one.num_blocked) == (
+            other.num_lines, other.num_observed, other.num_blocked
+        )  # fmt: skip
