@@ -34,6 +34,7 @@ CHANGES: dict[str, Mapping[str, Any]] = {
     "sc2": {"method": "sc2"},
     "svc, one-way matches": {"matching.strategy": "one_way"},
     "svc, shortlist by rank": {},
+    "svc, no wide search": {"shortlist.rough_poses": 0},
     "svc, a fifth of the seeds": {"hypotheses.seed_ratio": 0.2},
     "svc, FPFH 5 voxels, normals 2": {
         "features.radius_voxels": 5.0, "features.max_neighbours": 100,

@@ -10,6 +10,7 @@ from _evidence import Row
 from _rules import Configs, is_moved
 
 _FLOOR = 1e-3  # as in core/decision.py
+_ROOM = 1.5  # beyond the worst right pose, for a border that no wrong pose needs
 
 
 @dataclass(frozen=True)
@@ -95,6 +96,12 @@ def find_worst_right(rows: Sequence[Row]) -> dict[str, float]:
 
 
 def fit_borders(rows: Sequence[Row]) -> dict[str, float]:
-    """Each border in the geometric middle of its gap; the worst right value where no wrong pose is this border's."""
-    gaps = measure_gaps(rows, find_worst_right(rows))
-    return {name: gap.right if gap.wrong is None else math.sqrt(gap.right * gap.wrong) for name, gap in gaps.items()}
+    """Each border in the geometric middle of its gap; a little beyond the right poses where it has none to stop."""
+    worst_right = find_worst_right(rows)
+    gaps = measure_gaps(rows, worst_right)
+    fitted = {}
+    for border in BORDERS:
+        gap = gaps[border.name]
+        room = border.to_value(_ROOM * worst_right[border.name])
+        fitted[border.name] = room if gap.wrong is None else math.sqrt(gap.right * gap.wrong)
+    return fitted

@@ -82,24 +82,26 @@ def spread(work: Callable[[Item], Answer], items: Sequence[Item], workers: int, 
         return shown(pool.map(work, items))
 
 
-def write_report(path: Path, values: Mapping[str, Any], changes: Mapping[str, Any]) -> None:
-    """Write a result with what it takes to make it again: commit, configuration, machine, packages, date."""
-    run = {
+def write_report(path: Path, values: Mapping[str, Any], run: Mapping[str, Any]) -> None:
+    """Write a result with what it takes to make it again."""
+    path.write_text(json.dumps({"run": run, **values}, indent=1, default=_plain) + "\n", encoding="utf-8")
+    console.print(f"wrote {path}")
+
+
+def describe_run(datasets: Sequence[Dataset]) -> dict[str, Any]:
+    """Commit, machine, packages, date and the presets that the data sets use; asked for before the work begins.
+
+    Range limits are not the preset's but the data set's own.
+    """
+    return {
         "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         "commit": _git("rev-parse", "HEAD"),
         "uncommitted": _git("status", "--porcelain", "--", "svc_ros").splitlines(),
         "machine": {"processor": _processor(), "cores": os.cpu_count(), "system": platform.platform(),
                     "python": platform.python_version()},
         "packages": dict(_versions()),
-        "config": changes,
+        "config": {name: dataclasses.asdict(preset(name)) for name in sorted({d.preset for d in datasets})},
     }  # fmt: skip
-    path.write_text(json.dumps({"run": run, **values}, indent=1, default=_plain) + "\n", encoding="utf-8")
-    console.print(f"wrote {path}")
-
-
-def config_values(datasets: Sequence[Dataset]) -> dict[str, Any]:
-    """Every preset that the data sets use, as nested values; range limits are the data set's own."""
-    return {name: dataclasses.asdict(preset(name)) for name in sorted({d.preset for d in datasets})}
 
 
 def print_table(title: str, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:

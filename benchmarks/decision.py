@@ -22,8 +22,8 @@ import numpy as np
 from _common import (
     Dataset,
     config_of,
-    config_values,
     console,
+    describe_run,
     parse_options,
     print_table,
     read_datasets,
@@ -53,7 +53,7 @@ def main() -> None:
     options = parse_options("Compare decision rules on labelled poses.", extend)
     datasets = [d for d in read_datasets(options.data) if d.candidates]
     configs = {d.name: config_of(d) for d in datasets}
-    rows = collect(datasets, options.workers, options.rows)
+    rows, run = collect(datasets, options.workers, options.rows)
     answers = answer_all(rows, configs)
     borders = compare_borders(rows, configs)
     answers["svc, borders of the other sets"] = borders.pop("answers")
@@ -70,19 +70,20 @@ def main() -> None:
         "verify_sample": {"same": same, "different": different},
         "decision": tables, "borders": borders, "covariance": covariance,
     }  # fmt: skip
-    write_report(options.out / "decision.json", values, config_values(datasets))
+    write_report(options.out / "decision.json", values, run)
 
 
-def collect(datasets: Sequence[Dataset], workers: int, kept: Path | None) -> list[Row]:
-    """Measure every labelled pose, or read what was measured before."""
+def collect(datasets: Sequence[Dataset], workers: int, kept: Path | None) -> tuple[list[Row], dict[str, Any]]:
+    """Measure every labelled pose, or read what was measured before; with the run that measured them."""
     if kept is not None and kept.exists():
-        rows: list[Row] = pickle.loads(kept.read_bytes())
-        return rows
+        rows, run = pickle.loads(kept.read_bytes())
+        return rows, run
+    run = describe_run(datasets)
     jobs = [(dataset, pair, k) for dataset in datasets for k, pair in enumerate(dataset.candidates)]
     rows = [row for of_pair in spread(gather, jobs, workers, "labelled poses") for row in of_pair]
     if kept is not None:
-        kept.write_bytes(pickle.dumps(rows))
-    return rows
+        kept.write_bytes(pickle.dumps((rows, run)))
+    return rows, run
 
 
 def answer_all(rows: Sequence[Row], configs: _rules.Configs) -> Answers:

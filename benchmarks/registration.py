@@ -18,8 +18,8 @@ from _attempts import CHANGES, METHODS, Attempt, method_of, why_not
 from _common import (
     Dataset,
     config_of,
-    config_values,
     console,
+    describe_run,
     parse_options,
     print_table,
     read_datasets,
@@ -75,6 +75,7 @@ def main() -> None:
         console.print(f"{name} is left out: {reason}")
     methods = tuple(name for name in options.methods if name not in skipped)
     datasets = read_datasets(options.data)
+    run = describe_run(datasets)
     jobs = [Job(d, pair, methods) for d in datasets for pair in choose(d, options.limit)]
     rows = [row for of_pair in spread(register_all, jobs, options.workers, "pairs") for row in of_pair]
     tables = tabulate(rows, methods)
@@ -83,7 +84,7 @@ def main() -> None:
     draw(tables[ALL], options.out / "registration.png")
     values = {"limit": options.limit, "skipped": skipped, "changes": CHANGES, "registration": tables,
               "pairs": [flat(row) for row in rows]}  # fmt: skip
-    write_report(options.out / "registration.json", values, config_values(datasets))
+    write_report(options.out / "registration.json", values, run)
 
 
 def choose(dataset: Dataset, limit: int) -> list[Pair]:
