@@ -67,10 +67,8 @@ def evidence_of(numbers: Numbers) -> SightViewEvidence:
         observed, scattered = (round(numbers[f"{name}_ratio_{way}"] * num_lines) for name in ("observed", "scattered"))
         return SightLines(num_lines, observed, names, names, scattered)
 
-    return SightViewEvidence(
-        lines("source_in_target"), lines("target_in_source"),
-        numbers["overlap_ratio"], numbers["oriented_overlap_ratio"], numbers["opposed_ratio"],
-    )  # fmt: skip
+    shares = {f.name: numbers[f.name] for f in dataclasses.fields(SightViewEvidence) if f.name in numbers}
+    return SightViewEvidence(lines("source_in_target"), lines("target_in_source"), **shares)
 
 
 def gather(job: tuple[Dataset, CandidatePair, int]) -> list[Row]:
