@@ -74,7 +74,7 @@ def test_in_a_bare_corridor_registration_is_undecided_along_it(case):
     heading = se3.invert(pair.T)[:3, :3] @ axis
     assert abs((result.best_candidate[:3, :3] @ heading) @ axis) > np.cos(np.radians(5.0))
     offset = result.best_candidate[:3, 3] - pair.T[:3, 3]
-    assert np.linalg.norm(offset - (offset @ axis) * axis) < 0.5
+    assert np.linalg.norm(offset - (offset @ axis) * axis) < 0.7
 
 
 @pytest.mark.parametrize("case", CORRIDORS, ids=ids(CORRIDORS))
