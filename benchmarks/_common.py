@@ -96,7 +96,7 @@ def describe_run(datasets: Sequence[Dataset]) -> dict[str, Any]:
     return {
         "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         "commit": _git("rev-parse", "HEAD"),
-        "uncommitted": _git("status", "--porcelain", "--", "svc_ros").splitlines(),
+        "uncommitted": _git("diff", "--name-only", "HEAD", "--", "svc_ros").split(),
         "machine": {"processor": _processor(), "cores": os.cpu_count(), "system": platform.platform(),
                     "python": platform.python_version()},
         "packages": dict(_versions()),

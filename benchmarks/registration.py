@@ -183,7 +183,13 @@ def draw(table: Mapping[str, Mapping[str, Any]], path: Path) -> None:
     width = 0.85 / len(table)
     for k, (method, values) in enumerate(table.items()):
         shares = [right / num if num else 0.0 for right, num in values["by_overlap"].values()]
-        axes.bar(np.arange(len(BINS)) + (k - 0.5 * (len(table) - 1)) * width, shares, width, label=method)
+        axes.bar(
+            np.arange(len(BINS)) + (k - 0.5 * (len(table) - 1)) * width,
+            shares,
+            width,
+            label=method,
+            color=f"C{k}" if k < 10 else "black",
+        )
     numbers = [num for _, num in next(iter(table.values()))["by_overlap"].values()]
     axes.set_xticks(range(len(BINS)), [f"{b[0]} ({n} pairs)" for b, n in zip(BINS, numbers, strict=True)])
     axes.set(ylim=(0.0, 1.05), xlabel="overlap", ylabel="share of pairs with the right candidate", title="All sets")
