@@ -103,7 +103,9 @@ def test_the_shortlist_is_short_distinct_and_holds_the_right_pose():
     features = [extract_features(scan, config) for scan in room_scans()]
     correspondences = match(*features, config.matching)
     hypotheses = generate_hypotheses(correspondences, config.hypotheses)
-    found = stage.shortlist(hypotheses, correspondences, (features[0].prepared, features[1].prepared), config)
+    prepared = (features[0].prepared, features[1].prepared)
+    by_agreement = stage.order_by_agreement(hypotheses.T_target_source, *prepared, config.shortlist)
+    found = stage.shortlist(hypotheses, correspondences, by_agreement, config)
     assert 0 < len(found) <= 6
     assert len(stage.select_distinct(found, config.shortlist, 6)) == len(found)
     errors = np.array([se3.pose_error(T, T_ROOM) for T in found])

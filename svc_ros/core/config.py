@@ -113,7 +113,11 @@ class HypothesisConfig(_Group):
 class ShortlistConfig(_Group):
     """Distinct hypotheses, each refined before it is judged."""
 
-    max_poses: int = _value(12, "distinct poses that are refined and judged", "", 1, 1000)
+    max_poses: int = _value(8, "distinct poses that are refined and judged", "", 1, 1000)
+    rough_poses: int = _value(60, "poses of the wide search, if none of the first is accepted", "", 0, 10_000)
+    rough_points: int = _value(300, "source points of the wide search's ICP", "", 50, 100_000)
+    rough_view_points: int = _value(3000, "points of each scan in the wide search's sight lines", "", 100, 1_000_000)
+    rough_icp_distance_m: float = _value(1.5, "largest distance of an ICP pair in the wide search", "m", 1e-3, 10.0)
     prescore_cell_m: float = _value(0.6, "cell of the cheap look at all hypotheses", "m", 0.01, 10.0)
     prescore_points: int = _value(500, "source points of the cheap look", "", 10, 100_000)
     distinct_rotation_deg: float = _value(5.0, "poses farther apart than this are distinct", "deg", 0.0, 180.0)
@@ -156,16 +160,21 @@ class PaperConfig(_Group):
 class DecisionConfig(_Group):
     """When a refined pose is accepted, rejected or left undecided; one set of borders for all sensors.
 
-    Fitted by benchmarks/decision.py: each border lies between the right and the wrong labelled poses of every set.
+    Chosen from the values that benchmarks/decision.py measures on right and wrong labelled poses of every set, and from
+    simulated corridors and traffic; docs and limits in benchmarks/README.md.
     """
 
     min_oriented_overlap: float = _value(0.10, "less oriented overlap is too little to accept", "", 1e-3, 1.0)
     max_blocked_per_overlap: float = _value(0.12, "blocked share over oriented overlap", "", 1e-3, 10.0)
     max_scattered_per_overlap: float = _value(0.05, "the same outside the most blocked sectors", "", 1e-3, 10.0)
     max_opposed_per_overlap: float = _value(0.60, "opposed share over oriented overlap", "", 1e-3, 10.0)
+    min_constraint: float = _value(0.015, "less agreement across two directions is too little", "", 1e-4, 1.0)
+    weak_constraint: float = _value(0.13, "surfaces that resist a shift less than this call for more", "", 0.0, 1.0)
+    max_blocked_where_weak: float = _value(0.045, "then: blocked share over oriented overlap", "", 1e-3, 10.0)
+    min_tight_where_weak: float = _value(0.70, "then: share of agreeing points within tau / 4", "", 0.0, 0.99)
     sharpness: float = _value(2.0, "slope of the probability over the smallest log margin", "", 0.1, 100.0)
-    slip_m: float = _value(2.4, "an accepted pose is shifted so far along its weakest direction", "m", 0.01, 100.0)
-    slip_score_ratio: float = _value(0.7, "a slip scoring this share of the pose is as good", "", 0.0, 1.0)
+    slip_m: float = _value(2.4, "an accepted pose is shifted so far along its weak directions", "m", 0.01, 100.0)
+    slip_score_ratio: float = _value(0.65, "a slip scoring this share of the pose is as good", "", 0.0, 1.0)
     rival_score_ratio: float = _value(0.92, "another refined pose scoring this share is as good", "", 0.0, 1.0)
     rival_strictness: float = _value(2.5, "factor by which a rival must keep the blocked borders", "", 0.1, 10.0)
 
@@ -269,17 +278,19 @@ PRESETS: dict[str, Config] = {
     "lidar_indoor": with_values(
         Config(),
         {
-            "preprocess.voxel_size_m": 0.4,
+            "preprocess.voxel_size_m": 0.3,
             "preprocess.min_range_m": 0.5,
             "preprocess.max_range_m": 60.0,
             "preprocess.normal_radius_voxels": 3.0,
             "preprocess.normal_max_neighbours": 100,
-            "features.radius_voxels": 6.0,
+            "features.radius_voxels": 4.0,
             "features.max_neighbours": 400,
             "hypotheses.compatibility_threshold_m": 0.2,
             "hypotheses.nms_radius_m": 0.1,
             "hypotheses.seed_ratio": 1.0,
-            "shortlist.max_poses": 20,
+            "hypotheses.first_consensus": 12,
+            "hypotheses.second_consensus": 6,
+            "shortlist.rough_poses": 100,
             "sight_view.tolerance_m": 0.4,
         },
     ),
@@ -297,9 +308,11 @@ PRESETS: dict[str, Config] = {
             "shortlist.max_moved_translation_m": 0.36,
             "shortlist.correspondence_eps_m": 0.1,
             "shortlist.icp_distance_m": 0.15,
+            "shortlist.rough_icp_distance_m": 0.2,
             "shortlist.prescore_cell_m": 0.1,
             "sight_view.tolerance_m": 0.1,
             "decision.slip_m": 0.9,
+            "covariance.points_per_constraint": 200.0,
             "covariance.floor_translation_m": 0.01,
             "paper.tolerance_m": 0.1,
         },

@@ -27,7 +27,8 @@ class Decision:
 class Margins:
     """How far the evidence lies on the good side of each border, as natural logarithms of ratios.
 
-    free: blocked sight lines; same_side: surfaces seen from both sides; overlap: agreeing surface.
+    free: blocked sight lines; same_side: surfaces seen from both sides; overlap: agreeing surface, enough of it and
+    facing more than one way.
     """
 
     free: float
@@ -47,19 +48,41 @@ def score(evidence: SightViewEvidence) -> float:
 
 
 def measure_margins(evidence: SightViewEvidence, config: DecisionConfig) -> Margins:
-    """Compare the evidence with the borders; what blocks and what is opposed counts in shares of what agrees."""
+    """Compare the evidence with the borders; what blocks and what is opposed counts in shares of what agrees.
+
+    Where the agreeing surfaces hardly resist a shift in some direction (a corridor), many wrong poses agree; there
+    the sight lines must be freer and the surfaces must lie on each other tightly.
+    """
+    agreeing = max(evidence.oriented_overlap_ratio, _FLOOR)
+    weak = evidence.weakest_constraint < config.weak_constraint
+    free = _free_margin(evidence, config.max_blocked_where_weak if weak else config.max_blocked_per_overlap, config)
+    overlap = min(
+        math.log(agreeing / config.min_oriented_overlap),
+        math.log(max(evidence.constraint_ratio, 0.1 * _FLOOR) / config.min_constraint),
+    )
+    return Margins(
+        free=free,
+        same_side=math.log(config.max_opposed_per_overlap * agreeing / (evidence.opposed_ratio + _FLOOR)),
+        overlap=min(overlap, _log_odds(evidence.tight_ratio) - _log_odds(config.min_tight_where_weak))
+        if weak
+        else overlap,
+    )
+
+
+def _free_margin(evidence: SightViewEvidence, max_blocked: float, config: DecisionConfig) -> float:
     agreeing = max(evidence.oriented_overlap_ratio, _FLOOR)
 
-    def free(lines: SightLines) -> float:
-        blocked = math.log(config.max_blocked_per_overlap * agreeing / (lines.blocked_ratio + _FLOOR))
+    def of(lines: SightLines) -> float:
+        blocked = math.log(max_blocked * agreeing / (lines.blocked_ratio + _FLOOR))
         scattered = math.log(config.max_scattered_per_overlap * agreeing / (lines.scattered_ratio + _FLOOR))
         return min(blocked, scattered)
 
-    return Margins(
-        free=min(free(evidence.source_in_target), free(evidence.target_in_source)),
-        same_side=math.log(config.max_opposed_per_overlap * agreeing / (evidence.opposed_ratio + _FLOOR)),
-        overlap=math.log(agreeing / config.min_oriented_overlap),
-    )
+    return min(of(evidence.source_in_target), of(evidence.target_in_source))
+
+
+def _log_odds(share: float) -> float:
+    clipped = min(max(share, _FLOOR), 1.0 - _FLOOR)
+    return math.log(clipped / (1.0 - clipped))
 
 
 def decide(evidence: SightViewEvidence, config: DecisionConfig) -> Decision:
@@ -84,7 +107,11 @@ def _too_little_overlap(
     evidence: SightViewEvidence, margins: Margins, probability: float, config: DecisionConfig
 ) -> Decision:
     """Nothing speaks against the pose but too little speaks for it: undecided near the border, rejected far from it."""
-    detail = f"oriented overlap {evidence.oriented_overlap_ratio:.3f} is below {config.min_oriented_overlap:g}"
+    detail = (
+        f"oriented overlap {evidence.oriented_overlap_ratio:.3f} (at least {config.min_oriented_overlap:g}), "
+        f"across directions {evidence.constraint_ratio:.4f} (at least {config.min_constraint:g}), "
+        f"tight {evidence.tight_ratio:.2f} where the weakest direction holds {evidence.weakest_constraint:.3f}"
+    )
     if min(margins.free, margins.same_side) > 0 and margins.overlap > math.log(0.5):
         return Decision(Verdict.UNDECIDED, Reason.INSUFFICIENT_EVIDENCE, probability, f"no contradiction, but {detail}")
     return Decision(Verdict.REJECTED, Reason.LOW_OVERLAP, probability, detail)
@@ -94,8 +121,8 @@ def _too_little_overlap(
 class Doubts:
     """Evidence of poses that differ from the judged one.
 
-    others: further hypotheses, each refined; far_slips: the pose shifted far along the direction that the surfaces
-    resist least; near_slips: shifted half as far.
+    others: further hypotheses, each refined; far_slips: the pose shifted far along the directions that the surfaces
+    hardly resist; near_slips: shifted half as far.
     """
 
     others: Sequence[SightViewEvidence]
@@ -119,8 +146,8 @@ def doubt(decided: Decision, evidence: SightViewEvidence, doubts: Doubts, config
 
 
 def _is_free(evidence: SightViewEvidence, config: DecisionConfig) -> bool:
-    margins = measure_margins(evidence, config)
-    return margins.free > math.log(config.rival_strictness) and margins.same_side > 0 and margins.overlap > 0
+    free = _free_margin(evidence, config.max_blocked_per_overlap, config) > math.log(config.rival_strictness)
+    return free and evidence.oriented_overlap_ratio > config.min_oriented_overlap
 
 
 def _ambiguous(decided: Decision, evidence: SightViewEvidence, other: SightViewEvidence) -> Decision:

@@ -60,6 +60,10 @@ class SightViewEvidence:
     source_in_target: the target's sight lines, blocked by source points; target_in_source: the reverse.
     overlap_ratio, oriented_overlap_ratio, opposed_ratio: of the smaller of both directions' shares of points with a
     neighbour within tolerance; with a neighbour whose surface faces the same way; with one that faces the opposite.
+    constraint_ratio: oriented overlap times the middle eigenvalue of the agreeing normals' mean outer product (up to
+    1/3): agreement on one plane alone, such as the ground, is next to none. 1 where it was not measured.
+    weakest_constraint: smallest eigenvalue of that mean itself: near 0 along a corridor, 1/3 where surfaces face all
+    ways. tight_ratio: share of the agreeing points that lie within a quarter of the tolerance of the other's surface.
     """
 
     source_in_target: SightLines
@@ -67,6 +71,9 @@ class SightViewEvidence:
     overlap_ratio: float
     oriented_overlap_ratio: float
     opposed_ratio: float
+    constraint_ratio: float = 1.0
+    weakest_constraint: float = 1.0 / 3.0
+    tight_ratio: float = 1.0
 
     def numbers(self) -> dict[str, float | int]:
         """The evidence as flat key-values, for messages, files and the decision's model."""
@@ -77,6 +84,9 @@ class SightViewEvidence:
             "overlap_ratio": self.overlap_ratio,
             "oriented_overlap_ratio": self.oriented_overlap_ratio,
             "opposed_ratio": self.opposed_ratio,
+            "constraint_ratio": self.constraint_ratio,
+            "weakest_constraint": self.weakest_constraint,
+            "tight_ratio": self.tight_ratio,
             "scattered_ratio_source_in_target": near.scattered_ratio,
             "scattered_ratio_target_in_source": far.scattered_ratio,
             "observed_ratio_source_in_target": near.observed_ratio,

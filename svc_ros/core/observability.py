@@ -30,9 +30,20 @@ class SurfaceContact:
 
     def weakest_direction(self) -> tuple[Array, float]:
         """Unit direction (3,) along which the surfaces resist a shift least, and how much (0: none, 1/3: evenly)."""
+        strength, axes = self._resistance()
+        return axes[0], float(strength[0])
+
+    def weak_directions(self, limit: float) -> Array:
+        """The weakest direction and every further one that resists less than `limit`, (D, 3)."""
+        strength, axes = self._resistance()
+        return np.asarray(axes[: max(1, int((strength < limit).sum()))])
+
+    def _resistance(self) -> tuple[Array, Array]:
+        """Resistance (3,) ascending and unit directions (3, 3) by rows, each with its largest entry positive."""
         strength, axes = np.linalg.eigh(self.normals.T @ self.normals / max(len(self.normals), 1))
-        axis = axes[:, 0]
-        return axis * np.sign(axis[np.argmax(np.abs(axis))]), float(max(strength[0], 0.0))
+        rows = axes.T
+        largest = rows[np.arange(3), np.abs(rows).argmax(1)]
+        return np.maximum(strength, 0.0), rows * np.where(largest < 0, -1.0, 1.0)[:, None]
 
     def covariance(self, config: CovarianceConfig) -> Array:
         """Covariance (6, 6) of the pose: x y z [m], rotations about x y z [rad], left perturbation, target frame.

@@ -6,6 +6,7 @@ eleven; the scans themselves can. One hash look-up a point makes a pose cost mic
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,3 +72,16 @@ def prescore(
 def thin_evenly(num: int, wanted: int) -> IndexArray:
     """About `wanted` of `num` indices, evenly spread over the (spatially sorted) points of a prepared scan."""
     return np.arange(0, num, max(1, num // max(wanted, 1)), dtype=np.int64)
+
+
+def thinned_scan(scan: PreparedScan, num_points: int) -> PreparedScan:
+    """The scan with about `num_points` of its points, each standing for a larger voxel; built on first use."""
+    key = ("thinned_scan", num_points)
+    if key not in scan.memo:
+        chosen = thin_evenly(len(scan), num_points)
+        voxel_size_m = scan.voxel_size_m * float(np.sqrt(len(scan) / max(len(chosen), 1)))
+        scan.memo[key] = dataclasses.replace(
+            scan, points=scan.points[chosen], normals=scan.normals[chosen], voxel_size_m=voxel_size_m, memo={}
+        )
+    thinned: PreparedScan = scan.memo[key]
+    return thinned

@@ -15,6 +15,7 @@ from svc_ros.core import decision, paper_rule, shortlist
 from svc_ros.core.config import Config
 from svc_ros.core.evidence import SightViewEvidence
 from svc_ros.core.observability import SurfaceContact, find_contact, shift
+from svc_ros.core.prescore import thinned_scan
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Array, Correspondences, HypothesisSet, PreparedScan
 from svc_ros.core.se3 import pose_error
@@ -36,6 +37,10 @@ class Pair:
         """The evidence of one pose."""
         with self.watch.stage("sight_view"):
             return gather_evidence(self.source, self.target, T, self.config.sight_view)
+
+    def promise(self, evidence: SightViewEvidence) -> float:
+        """What poses are ranked by: the smallest margin that the decision will look at."""
+        return decision.measure_margins(evidence, self.config.decision).smallest
 
     def refine(self, T: Array, num_points: int) -> shortlist.RefinedPose:
         """One pose after ICP with about that many points."""
@@ -103,17 +108,44 @@ def _paper_answer(pair: Pair, T: Array) -> RegistrationResult:
 
 
 def choose_svc(pair: Pair, correspondences: Correspondences, hypotheses: HypothesisSet) -> RegistrationResult:
-    """Refine every distinct hypothesis, look along its sight lines, judge the one that looks best."""
+    """Judge the pose that looks best along the sight lines; if it is not accepted, look much wider and judge again."""
     config = pair.config
     with pair.watch.stage("shortlist"):
-        starts = shortlist.shortlist(hypotheses, correspondences, (pair.source, pair.target), config)
-    refined = np.array([pair.refine(T, config.shortlist.icp_points).T_target_source for T in starts])
+        by_agreement = shortlist.order_by_agreement(
+            hypotheses.T_target_source, pair.source, pair.target, config.shortlist
+        )
+        starts = shortlist.shortlist(hypotheses, correspondences, by_agreement, config)
+    result = _choose_best(pair, starts)
+    if result.accepted or config.shortlist.rough_poses == 0:
+        return result
+    return _choose_best(pair, np.concatenate((_search_widely(pair, by_agreement), starts[:1])))
+
+
+def _choose_best(pair: Pair, starts: Array) -> RegistrationResult:
+    """Refine poses (S, 4, 4), look along the sight lines of each, judge the best; the others may cast doubt on it."""
+    limits = pair.config.shortlist
+    refined = np.array([pair.refine(T, limits.icp_points).T_target_source for T in starts])
     evidence = [pair.look(T) for T in refined]
-    pair.counts["judged"] = len(refined)
-    best = int(np.argmax([decision.score(e) for e in evidence]))
-    T = _settle(pair, refined[best])
-    near = shortlist.find_near(refined, T, config.shortlist)
+    pair.counts["judged"] = pair.counts.get("judged", 0) + len(refined)
+    T = _settle(pair, refined[int(np.argmax([pair.promise(e) for e in evidence]))])
+    near = shortlist.find_near(refined, T, limits)
     return _judge(pair, T, [e for e, same in zip(evidence, near, strict=True) if not same])
+
+
+def _search_widely(pair: Pair, by_agreement: Array) -> Array:
+    """The best of many hypotheses (H, 4, 4), each refined and looked at roughly, with few points of both scans.
+
+    At low overlap a right pose has hardly more inliers or overlap than wrong ones; its free sight lines tell it.
+    """
+    limits = pair.config.shortlist
+    with pair.watch.stage("wide_search"):
+        starts = by_agreement[shortlist.select_distinct(by_agreement, limits, limits.rough_poses)]
+        T = np.array([shortlist.refine_roughly(start, pair.source, pair.target, limits) for start in starts])
+        thin = [thinned_scan(scan, limits.rough_view_points) for scan in (pair.source, pair.target)]
+        looks = [gather_evidence(thin[0], thin[1], pose, pair.config.sight_view) for pose in T]
+        T = T[np.argsort([-pair.promise(evidence) for evidence in looks], kind="stable")]
+        pair.counts["searched"] = len(T)
+        return np.asarray(T[shortlist.select_distinct(T, limits, limits.max_poses)])
 
 
 def verify_svc(pair: Pair, T: Array) -> RegistrationResult:
@@ -131,8 +163,8 @@ def _judge(pair: Pair, T: Array, others: list[SightViewEvidence]) -> Registratio
     evidence = pair.look(T)
     decided = decision.decide(evidence, pair.config.decision)
     if decided.verdict is Verdict.ACCEPTED:
-        far_back, back, ahead, far_ahead = (pair.look(slip) for slip in _slips(pair, T))
-        doubts = decision.Doubts(others, [far_back, far_ahead], [back, ahead])
+        far, near = ([pair.look(slip) for slip in _slips(pair, T, share)] for share in (1.0, 0.5))
+        doubts = decision.Doubts(others, far, near)
         decided = decision.doubt(decided, evidence, doubts, pair.config.decision)
     return pair.answer(T, evidence, decided)
 
@@ -142,7 +174,7 @@ def _settle(pair: Pair, T: Array) -> Array:
     num_points = len(pair.source)
     T = pair.refine(T, num_points).T_target_source
     start = decision.score(pair.look(T))
-    slips = _slips(pair, T)
+    slips = _slips(pair, T, 1.0) + _slips(pair, T, 0.5)
     scores = [decision.score(pair.look(slip)) for slip in slips]
     if max(scores) <= start:
         return T
@@ -150,11 +182,11 @@ def _settle(pair: Pair, T: Array) -> Array:
     return other if decision.score(pair.look(other)) > start else T
 
 
-def _slips(pair: Pair, T: Array) -> list[Array]:
-    """The pose, moved both ways along the direction that the agreeing surface resists least, near and far."""
-    direction, _ = pair.contact(T).weakest_direction()
-    slip = pair.config.decision.slip_m
-    return [shift(T, direction, distance) for distance in (-slip, -0.5 * slip, 0.5 * slip, slip)]
+def _slips(pair: Pair, T: Array, share: float) -> list[Array]:
+    """The pose, moved both ways by a share of the slip along every direction that the surfaces hardly resist."""
+    config = pair.config.decision
+    directions = pair.contact(T).weak_directions(config.weak_constraint)
+    return [shift(T, direction, sign * share * config.slip_m) for direction in directions for sign in (-1.0, 1.0)]
 
 
 Chooser = Callable[[Pair, Correspondences, HypothesisSet], RegistrationResult]

@@ -76,32 +76,52 @@ def refine_by_icp(
 
     About `num_points` source points take part.
     """
-    result: Any = None
-    for distance in (config.icp_distance_m, 0.5 * config.icp_distance_m):
-        result = small_gicp.align(
-            surface_cloud(target), thinned_cloud(source, num_points), surface_tree(target), T,
-            registration_type="PLANE_ICP", max_correspondence_distance=distance,
-            max_iterations=config.icp_rounds, rotation_epsilon=1e-4, translation_epsilon=1e-4,
-        )  # fmt: skip
+    pair = (source, target)
+    first = _align(T, pair, num_points, config.icp_distance_m, config.icp_rounds)
+    T = se3.nearest_pose(first.T_target_source)
+    last = _align(T, pair, num_points, 0.5 * config.icp_distance_m, config.icp_rounds)
+    T = se3.nearest_pose(last.T_target_source)
+    return RefinedPose(T, np.asarray(last.H), int(last.num_inliers), float(last.error))
+
+
+def refine_roughly(T: Array, source: PreparedScan, target: PreparedScan, config: ShortlistConfig) -> Array:
+    """ICP with a few hundred points from farther away: enough to see whether a hypothesis leads anywhere."""
+    for distance in (config.rough_icp_distance_m, 0.5 * config.rough_icp_distance_m):
+        result = _align(T, (source, target), config.rough_points, distance, config.icp_rounds // 2)
         T = se3.nearest_pose(result.T_target_source)
-    return RefinedPose(T, np.asarray(result.H), int(result.num_inliers), float(result.error))
+    return T
+
+
+def _align(T: Array, pair: tuple[PreparedScan, PreparedScan], num_points: int, distance_m: float, rounds: int) -> Any:
+    source, target = pair
+    return small_gicp.align(
+        surface_cloud(target), thinned_cloud(source, num_points), surface_tree(target), T,
+        registration_type="PLANE_ICP", max_correspondence_distance=distance_m,
+        max_iterations=rounds, rotation_epsilon=1e-4, translation_epsilon=1e-4,
+    )  # fmt: skip
+
+
+def order_by_agreement(T: Array, source: PreparedScan, target: PreparedScan, config: ShortlistConfig) -> Array:
+    """The poses (H, 4, 4), those first that put most of the source on agreeing target surface."""
+    agreement = prescore(T, source, target, config.prescore_cell_m, config.prescore_points)
+    return T[np.argsort(-agreement, kind="stable")]
 
 
 def shortlist(
-    hypotheses: HypothesisSet, correspondences: Correspondences, pair: tuple[PreparedScan, PreparedScan], config: Config
+    hypotheses: HypothesisSet, correspondences: Correspondences, by_agreement: Array, config: Config
 ) -> Array:
     """The best distinct hypotheses (S, 4, 4), refined on the correspondences.
 
-    Half of the places go to the best by the scans' own agreement (prescore), the others by the hypotheses' rank.
+    Drawn from the order by the scans' own agreement and, for a quarter of the places, from the hypotheses' rank.
     """
     limits = config.shortlist
     T = hypotheses.T_target_source
-    agreement = prescore(T, *pair, limits.prescore_cell_m, limits.prescore_points)
-    by_agreement = np.argsort(-agreement, kind="stable")
-    first = by_agreement[select_distinct(T[by_agreement], limits, limits.max_poses)]
-    by_rank = select_distinct(T, limits, max(1, limits.max_poses // 4))
-    starts = T[np.concatenate((by_rank, first))]
-    refined = np.array([refine_on_correspondences(pose, correspondences, config.hypotheses, limits) for pose in starts])
+    by_rank = T[select_distinct(T, limits, max(1, limits.max_poses // 4))]
+    first = by_agreement[select_distinct(by_agreement, limits, limits.max_poses)]
+    refined = np.array([
+        refine_on_correspondences(pose, correspondences, config.hypotheses, limits)
+        for pose in np.concatenate((by_rank, first))
+    ])  # fmt: skip
     return refined[select_distinct(refined, limits, limits.max_poses)]
 
 

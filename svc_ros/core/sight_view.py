@@ -23,20 +23,25 @@ def gather_evidence(
     """Look along the sight lines of both scans with the other one placed by the pose."""
     in_target, source_shares = _look(target, source, T_target_source, config)
     in_source, target_shares = _look(source, target, se3.invert(T_target_source), config)
-    overlap, oriented, opposed = np.minimum(source_shares, target_shares)
-    return SightViewEvidence(in_target, in_source, float(overlap), float(oriented), float(opposed))
+    return SightViewEvidence(in_target, in_source, *np.minimum(source_shares, target_shares).tolist())
 
 
 def _look(
     observer: PreparedScan, other: PreparedScan, T_observer_other: Array, config: SightViewConfig
 ) -> tuple[SightLines, Array]:
-    """The observer's sight lines, and the shares of the other scan's points that overlap, agree and are opposed."""
+    """The observer's sight lines, and shares of the other scan: it overlaps, agrees, is opposed, constrains."""
     points, normals = se3.apply(T_observer_other, other.points), se3.rotate(T_observer_other, other.normals)
     nearest = radius_grid(observer, config.tolerance_m).nearest(points)
     near = nearest >= 0
-    cosine = np.einsum("ij,ij->i", normals[near], observer.normals[nearest[near]])
-    same, opposed = (cosine > config.same_side_cosine).sum(), (cosine < -config.same_side_cosine).sum()
-    shares = np.array([near.sum(), same, opposed]) / len(points)
+    surface = observer.normals[nearest[near]]
+    cosine = np.einsum("ij,ij->i", normals[near], surface)
+    same, opposed = cosine > config.same_side_cosine, int((cosine < -config.same_side_cosine).sum())
+    planes, num_same = surface[same], max(int(same.sum()), 1)
+    offset = points[near][same] - observer.points[nearest[near][same]]
+    tight = np.abs(np.einsum("ij,ij->i", offset, planes)) < 0.25 * config.tolerance_m
+    weakest, middle, _ = np.maximum(np.linalg.eigvalsh(planes.T @ planes), 0.0)  # sums, so they weigh how much agrees
+    of_all = np.array([near.sum(), same.sum(), opposed, middle]) / len(points)
+    shares = np.concatenate((of_all, np.array([weakest, tight.sum()]) / num_same))
     return _find_blocked(observer, points, normals, ~near, config), shares
 
 
