@@ -97,8 +97,8 @@ def scatter(case: SightViewEvidence, num: int) -> SightViewEvidence:
 def test_blocks_in_a_few_sectors_weigh_less_than_blocks_all_around():
     """What one moving object hides lies in one direction; a wrong pose contradicts everywhere."""
     config = DecisionConfig()
-    share = 0.5 * (config.max_scattered_per_overlap + config.max_blocked_per_overlap) * 0.8
-    one_object, everywhere = scatter(evidence(blocked=share, overlap=0.8), 0), evidence(blocked=share, overlap=0.8)
+    share = 0.5 * (config.max_scattered_per_overlap + config.max_blocked_per_overlap) * 0.4
+    one_object, everywhere = scatter(evidence(blocked=share, overlap=0.4), 0), evidence(blocked=share, overlap=0.4)
     assert everywhere.source_in_target.num_scattered == everywhere.source_in_target.num_blocked
     assert decision.decide(one_object, config).verdict is Verdict.ACCEPTED
     assert decision.decide(everywhere, config).verdict is Verdict.REJECTED

@@ -165,10 +165,12 @@ class DecisionConfig(_Group):
     """
 
     min_oriented_overlap: float = _value(0.10, "less oriented overlap is too little to accept", "", 1e-3, 1.0)
-    max_blocked_per_overlap: float = _value(0.12, "blocked share over oriented overlap", "", 1e-3, 10.0)
-    max_scattered_per_overlap: float = _value(0.05, "the same outside the most blocked sectors", "", 1e-3, 10.0)
+    max_blocked_per_overlap: float = _value(0.09, "blocked share over oriented overlap", "", 1e-3, 10.0)
+    max_scattered_per_overlap: float = _value(0.045, "the same outside the most blocked sectors", "", 1e-3, 10.0)
     max_opposed_per_overlap: float = _value(0.60, "opposed share over oriented overlap", "", 1e-3, 10.0)
     min_constraint: float = _value(0.015, "less agreement across two directions is too little", "", 1e-4, 1.0)
+    clear_overlap: float = _value(0.5, "so much oriented overlap allows for more moving objects", "", 0.0, 1.0)
+    blocked_factor_where_clear: float = _value(1.8, "then: factor on both blocked borders", "", 1.0, 10.0)
     weak_constraint: float = _value(0.13, "surfaces that resist a shift less than this call for more", "", 0.0, 1.0)
     max_blocked_where_weak: float = _value(0.045, "then: blocked share over oriented overlap", "", 1e-3, 10.0)
     min_tight_where_weak: float = _value(0.70, "then: share of agreeing points within tau / 4", "", 0.0, 0.99)
@@ -176,7 +178,7 @@ class DecisionConfig(_Group):
     slip_m: float = _value(2.4, "an accepted pose is shifted so far along its weak directions", "m", 0.01, 100.0)
     slip_score_ratio: float = _value(0.65, "a slip scoring this share of the pose is as good", "", 0.0, 1.0)
     rival_score_ratio: float = _value(0.92, "another refined pose scoring this share is as good", "", 0.0, 1.0)
-    rival_strictness: float = _value(2.5, "factor by which a rival must keep the blocked borders", "", 0.1, 10.0)
+    rival_strictness: float = _value(1.9, "factor by which a rival must keep the blocked borders", "", 0.1, 10.0)
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -51,21 +52,26 @@ def measure_margins(evidence: SightViewEvidence, config: DecisionConfig) -> Marg
     """Compare the evidence with the borders; what blocks and what is opposed counts in shares of what agrees.
 
     Where the agreeing surfaces hardly resist a shift in some direction (a corridor), many wrong poses agree; there
-    the sight lines must be freer and the surfaces must lie on each other tightly.
+    the sight lines must be freer and the surfaces must lie on each other tightly. Where very much agrees from all
+    sides, which no wrong pose brings about, more traffic may stand in the way.
     """
+    plain = _plain_margins(evidence, config)
+    if evidence.weakest_constraint >= config.weak_constraint:
+        clear = evidence.oriented_overlap_ratio >= config.clear_overlap
+        allowance = math.log(config.blocked_factor_where_clear) if clear else 0.0
+        return dataclasses.replace(plain, free=plain.free + allowance)
+    tight = _log_odds(evidence.tight_ratio) - _log_odds(config.min_tight_where_weak)
+    free = _free_margin(evidence, config.max_blocked_where_weak, config)
+    return Margins(free=free, same_side=plain.same_side, overlap=min(plain.overlap, tight))
+
+
+def _plain_margins(evidence: SightViewEvidence, config: DecisionConfig) -> Margins:
     agreeing = max(evidence.oriented_overlap_ratio, _FLOOR)
-    weak = evidence.weakest_constraint < config.weak_constraint
-    free = _free_margin(evidence, config.max_blocked_where_weak if weak else config.max_blocked_per_overlap, config)
-    overlap = min(
-        math.log(agreeing / config.min_oriented_overlap),
-        math.log(max(evidence.constraint_ratio, 0.1 * _FLOOR) / config.min_constraint),
-    )
+    constraint = max(evidence.constraint_ratio, 0.1 * _FLOOR)
     return Margins(
-        free=free,
+        free=_free_margin(evidence, config.max_blocked_per_overlap, config),
         same_side=math.log(config.max_opposed_per_overlap * agreeing / (evidence.opposed_ratio + _FLOOR)),
-        overlap=min(overlap, _log_odds(evidence.tight_ratio) - _log_odds(config.min_tight_where_weak))
-        if weak
-        else overlap,
+        overlap=math.log(min(agreeing / config.min_oriented_overlap, constraint / config.min_constraint)),
     )
 
 
@@ -93,6 +99,12 @@ def decide(evidence: SightViewEvidence, config: DecisionConfig) -> Decision:
     if margins.smallest > 0:
         detail = f"free sight lines, oriented overlap {agreeing:.3f}"
         return Decision(Verdict.ACCEPTED, Reason.OK, probability, detail)
+    if _plain_margins(evidence, config).smallest > 0:
+        detail = (
+            f"surfaces that resist a shift by {evidence.weakest_constraint:.3f} only: blocked shares or contact "
+            f"(tight {evidence.tight_ratio:.2f}) leave it open"
+        )
+        return Decision(Verdict.UNDECIDED, Reason.INSUFFICIENT_EVIDENCE, probability, detail)
     if margins.overlap <= min(margins.free, margins.same_side):
         return _too_little_overlap(evidence, margins, probability, config)
     blocked = max(evidence.source_in_target.blocked_ratio, evidence.target_in_source.blocked_ratio)
@@ -109,8 +121,7 @@ def _too_little_overlap(
     """Nothing speaks against the pose but too little speaks for it: undecided near the border, rejected far from it."""
     detail = (
         f"oriented overlap {evidence.oriented_overlap_ratio:.3f} (at least {config.min_oriented_overlap:g}), "
-        f"across directions {evidence.constraint_ratio:.4f} (at least {config.min_constraint:g}), "
-        f"tight {evidence.tight_ratio:.2f} where the weakest direction holds {evidence.weakest_constraint:.3f}"
+        f"across directions {evidence.constraint_ratio:.4f} (at least {config.min_constraint:g})"
     )
     if min(margins.free, margins.same_side) > 0 and margins.overlap > math.log(0.5):
         return Decision(Verdict.UNDECIDED, Reason.INSUFFICIENT_EVIDENCE, probability, f"no contradiction, but {detail}")
