@@ -6,56 +6,28 @@ The tree is the single source: the YAML files in `config/`, the ROS parameters a
 from __future__ import annotations
 
 import dataclasses
-import difflib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from svc_ros.core.config_fields import FieldInfo, Group, check_value, unknown_name, value
 from svc_ros.core.errors import ConfigError
+
+__all__ = ["METHODS", "PRESETS", "Config", "FieldInfo", "preset", "unknown_name", "walk", "with_values"]
 
 METHODS = ("svc", "svc_paper", "sc2")
 
 
 @dataclass(frozen=True)
-class FieldInfo:
-    """What is known about one value of the tree: `name` is its dotted path, `default` its value in the tree."""
-
-    name: str
-    default: float | int | str | bool
-    description: str
-    unit: str
-    low: float | None
-    high: float | None
-    choices: tuple[str, ...]
-
-
-def _value(default: Any, text: str, unit: str = "", low: float | None = None, high: float | None = None,
-           choices: tuple[str, ...] = ()) -> Any:  # fmt: skip
-    return field(
-        default=default, metadata={"text": text, "unit": unit, "low": low, "high": high, "choices": choices}
-    )
-
-
-class _Group:
-    """Checks every field against its own metadata when the group is built."""
-
-    def __post_init__(self) -> None:
-        for f in dataclasses.fields(self):  # type: ignore[arg-type]
-            if f.metadata:
-                checked = _check_value(f.name, getattr(self, f.name), f)
-                object.__setattr__(self, f.name, checked)
-
-
-@dataclass(frozen=True)
-class PreprocessConfig(_Group):
+class PreprocessConfig(Group):
     """Range crop, voxel grid, normals (method section 5)."""
 
-    voxel_size_m: float = _value(0.3, "edge of the voxel grid that thins a scan (v)", "m", 0.005, 10.0)
-    min_range_m: float = _value(1.0, "points nearer to the sensor are dropped: the vehicle, the carrier", "m", 0.0, 1e4)
-    max_range_m: float = _value(80.0, "points farther from the sensor are dropped", "m", 0.1, 1e4)
-    normal_radius_voxels: float = _value(2.0, "neighbourhood of a normal, in voxels", "voxels", 1.0, 20.0)
-    normal_max_neighbours: int = _value(30, "most neighbours used for a normal", "", 3, 1000)
-    min_points: int = _value(100, "fewer points than this after the voxel grid are no scan", "", 3, 10_000_000)
+    voxel_size_m: float = value(0.3, "edge of the voxel grid that thins a scan (v)", "m", 0.005, 10.0)
+    min_range_m: float = value(1.0, "points nearer to the sensor are dropped: the vehicle, the carrier", "m", 0.0, 1e4)
+    max_range_m: float = value(80.0, "points farther from the sensor are dropped", "m", 0.1, 1e4)
+    normal_radius_voxels: float = value(2.0, "neighbourhood of a normal, in voxels", "voxels", 1.0, 20.0)
+    normal_max_neighbours: int = value(30, "most neighbours used for a normal", "", 3, 1000)
+    min_points: int = value(100, "fewer points than this after the voxel grid are no scan", "", 3, 10_000_000)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -71,37 +43,37 @@ class PreprocessConfig(_Group):
 
 
 @dataclass(frozen=True)
-class FeatureConfig(_Group):
+class FeatureConfig(Group):
     """FPFH (method section 5)."""
 
-    radius_voxels: float = _value(5.0, "neighbourhood of a descriptor, in voxels", "voxels", 1.0, 50.0)
-    max_neighbours: int = _value(100, "most neighbours used for a descriptor", "", 5, 10_000)
+    radius_voxels: float = value(5.0, "neighbourhood of a descriptor, in voxels", "voxels", 1.0, 50.0)
+    max_neighbours: int = value(100, "most neighbours used for a descriptor", "", 5, 10_000)
 
 
 @dataclass(frozen=True)
-class MatchingConfig(_Group):
+class MatchingConfig(Group):
     """Nearest descriptors become correspondences."""
 
-    strategy: str = _value(
+    strategy: str = value(
         "mutual", "which nearest neighbours become correspondences", choices=("one_way", "mutual", "ratio")
     )
-    max_correspondences: int = _value(5000, "the best by distance (ratio: by ratio) are kept", "", 3, 100_000)
-    min_correspondences: int = _value(10, "fewer are answered with too_few_correspondences", "", 3, 100_000)
+    max_correspondences: int = value(5000, "the best by distance (ratio: by ratio) are kept", "", 3, 100_000)
+    min_correspondences: int = value(10, "fewer are answered with too_few_correspondences", "", 3, 100_000)
 
 
 @dataclass(frozen=True)
-class HypothesisConfig(_Group):
+class HypothesisConfig(Group):
     """Second-order spatial compatibility (SC2-PCR; method section 4)."""
 
-    compatibility_threshold_m: float = _value(0.1, "length difference of two compatible pairs (d_thr)", "m", 1e-3, 10.0)
-    inlier_threshold_m: float = _value(0.6, "residual of an inlier correspondence (tau_in)", "m", 1e-3, 10.0)
-    nms_radius_m: float = _value(0.6, "a seed has the largest eigenvector entry within this radius", "m", 0.0, 100.0)
-    seed_ratio: float = _value(0.2, "share of the correspondences that may become seeds", "", 1e-3, 1.0)
-    max_seeds: int = _value(2000, "most seeds, whatever their share", "", 1, 100_000)
-    first_consensus: int = _value(30, "size of the first consensus set (k1)", "", 3, 64)
-    second_consensus: int = _value(20, "size of the second consensus set (k2)", "", 3, 64)
-    power_iterations: int = _value(20, "rounds of the power iteration", "", 1, 1000)
-    ranking: str = _value("ic", "metric that ranks hypotheses", choices=("ic", "mae", "mse"))
+    compatibility_threshold_m: float = value(0.1, "length difference of two compatible pairs (d_thr)", "m", 1e-3, 10.0)
+    inlier_threshold_m: float = value(0.6, "residual of an inlier correspondence (tau_in)", "m", 1e-3, 10.0)
+    nms_radius_m: float = value(0.6, "a seed has the largest eigenvector entry within this radius", "m", 0.0, 100.0)
+    seed_ratio: float = value(0.2, "share of the correspondences that may become seeds", "", 1e-3, 1.0)
+    max_seeds: int = value(2000, "most seeds, whatever their share", "", 1, 100_000)
+    first_consensus: int = value(30, "size of the first consensus set (k1)", "", 3, 64)
+    second_consensus: int = value(20, "size of the second consensus set (k2)", "", 3, 64)
+    power_iterations: int = value(20, "rounds of the power iteration", "", 1, 1000)
+    ranking: str = value("ic", "metric that ranks hypotheses", choices=("ic", "mae", "mse"))
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -110,91 +82,91 @@ class HypothesisConfig(_Group):
 
 
 @dataclass(frozen=True)
-class ShortlistConfig(_Group):
+class ShortlistConfig(Group):
     """Distinct hypotheses, each refined before it is judged."""
 
-    max_poses: int = _value(8, "distinct poses that are refined and judged", "", 1, 1000)
-    rough_poses: int = _value(60, "poses of the wide search, if none of the first is accepted", "", 0, 10_000)
-    rough_points: int = _value(300, "source points of the wide search's ICP", "", 50, 100_000)
-    rough_view_points: int = _value(3000, "points of each scan in the wide search's sight lines", "", 100, 1_000_000)
-    rough_icp_distance_m: float = _value(1.5, "largest distance of an ICP pair in the wide search", "m", 1e-3, 10.0)
-    prescore_cell_m: float = _value(0.6, "cell of the cheap look at all hypotheses", "m", 0.01, 10.0)
-    prescore_points: int = _value(500, "source points of the cheap look", "", 10, 100_000)
-    distinct_rotation_deg: float = _value(5.0, "poses farther apart than this are distinct", "deg", 0.0, 180.0)
-    distinct_translation_m: float = _value(1.0, "poses farther apart than this are distinct", "m", 0.0, 100.0)
-    max_moved_rotation_deg: float = _value(6.0, "a given pose turned more by refinement is not right", "deg", 0.0, 180)
-    max_moved_translation_m: float = _value(0.72, "a given pose moved more by refinement is not right", "m", 0.0, 1e2)
-    correspondence_rounds: int = _value(20, "rounds of weighted Kabsch on the correspondences", "", 0, 100)
-    correspondence_eps_m: float = _value(1.2, "residual at which a weight is one half (eps)", "m", 1e-3, 10.0)
-    icp_rounds: int = _value(12, "rounds of point-to-plane ICP", "", 0, 200)
-    icp_points: int = _value(2500, "source points of the shortlist's ICP; the last takes all", "", 50, 1_000_000)
-    icp_distance_m: float = _value(1.0, "largest distance of an ICP pair", "m", 1e-3, 10.0)
+    max_poses: int = value(8, "distinct poses that are refined and judged", "", 1, 1000)
+    rough_poses: int = value(60, "poses of the wide search, if none of the first is accepted", "", 0, 10_000)
+    rough_points: int = value(300, "source points of the wide search's ICP", "", 50, 100_000)
+    rough_view_points: int = value(3000, "points of each scan in the wide search's sight lines", "", 100, 1_000_000)
+    rough_icp_distance_m: float = value(1.5, "largest distance of an ICP pair in the wide search", "m", 1e-3, 10.0)
+    prescore_cell_m: float = value(0.6, "cell of the cheap look at all hypotheses", "m", 0.01, 10.0)
+    prescore_points: int = value(500, "source points of the cheap look", "", 10, 100_000)
+    distinct_rotation_deg: float = value(5.0, "poses farther apart than this are distinct", "deg", 0.0, 180.0)
+    distinct_translation_m: float = value(1.0, "poses farther apart than this are distinct", "m", 0.0, 100.0)
+    max_moved_rotation_deg: float = value(6.0, "a given pose turned more by refinement is not right", "deg", 0.0, 180)
+    max_moved_translation_m: float = value(0.72, "a given pose moved more by refinement is not right", "m", 0.0, 1e2)
+    correspondence_rounds: int = value(20, "rounds of weighted Kabsch on the correspondences", "", 0, 100)
+    correspondence_eps_m: float = value(1.2, "residual at which a weight is one half (eps)", "m", 1e-3, 10.0)
+    icp_rounds: int = value(12, "rounds of point-to-plane ICP", "", 0, 200)
+    icp_points: int = value(2500, "source points of the shortlist's ICP; the last takes all", "", 50, 1_000_000)
+    icp_distance_m: float = value(1.0, "largest distance of an ICP pair", "m", 1e-3, 10.0)
 
 
 @dataclass(frozen=True)
-class SightViewConfig(_Group):
+class SightViewConfig(Group):
     """Sight lines of the default method (method section 3)."""
 
-    tolerance_m: float = _value(0.6, "range and overlap tolerance (tau)", "m", 1e-3, 10.0)
-    beam_radius_voxels: float = _value(0.5, "a point blocks a line that passes within this of it", "voxels", 0.05, 5.0)
-    cone_beams: float = _value(0.75, "cap of the cone's half angle (theta), in beam spacings", "beams", 0.1, 10.0)
-    min_cone_deg: float = _value(0.25, "the cap is never below this, however dense the beams", "deg", 0.01, 45.0)
-    max_cone_deg: float = _value(1.5, "the cap is never above this, however sparse the beams", "deg", 0.05, 45.0)
-    max_incidence_deg: float = _value(85.0, "cap of the angle between ray and normal (phi)", "deg", 0.0, 89.9)
-    sector_deg: float = _value(10.0, "azimuth sectors in which blocked lines are counted", "deg", 1.0, 90.0)
-    forgiven_sectors: int = _value(2, "most blocked sectors left out of the scattered share", "", 0, 36)
-    same_side_cosine: float = _value(0.3, "normals agree above this, are opposed below its negative", "", 0.0, 1.0)
+    tolerance_m: float = value(0.6, "range and overlap tolerance (tau)", "m", 1e-3, 10.0)
+    beam_radius_voxels: float = value(0.5, "a point blocks a line that passes within this of it", "voxels", 0.05, 5.0)
+    cone_beams: float = value(0.75, "cap of the cone's half angle (theta), in beam spacings", "beams", 0.1, 10.0)
+    min_cone_deg: float = value(0.25, "the cap is never below this, however dense the beams", "deg", 0.01, 45.0)
+    max_cone_deg: float = value(1.5, "the cap is never above this, however sparse the beams", "deg", 0.05, 45.0)
+    max_incidence_deg: float = value(85.0, "cap of the angle between ray and normal (phi)", "deg", 0.0, 89.9)
+    sector_deg: float = value(10.0, "azimuth sectors in which blocked lines are counted", "deg", 1.0, 90.0)
+    forgiven_sectors: int = value(2, "most blocked sectors left out of the scattered share", "", 0, 36)
+    same_side_cosine: float = value(0.3, "normals agree above this, are opposed below its negative", "", 0.0, 1.0)
 
 
 @dataclass(frozen=True)
-class PaperConfig(_Group):
+class PaperConfig(Group):
     """Algorithms 1 and 2 of the paper, used by method svc_paper only (method section 2)."""
 
-    tolerance_m: float = _value(0.6, "tolerance of overlap and of blocking (tau)", "m", 1e-3, 10.0)
-    cone_cosine: float = _value(0.99997, "dot product above which two directions are one sight line", "", 0.0, 1.0)
-    max_blocked_ratio: float = _value(0.02, "a pose passes below this blocked share (eta2)", "", 0.0, 1.0)
-    max_hypotheses: int = _value(200, "hypotheses that are tried in order (K)", "", 1, 100_000)
+    tolerance_m: float = value(0.6, "tolerance of overlap and of blocking (tau)", "m", 1e-3, 10.0)
+    cone_cosine: float = value(0.99997, "dot product above which two directions are one sight line", "", 0.0, 1.0)
+    max_blocked_ratio: float = value(0.02, "a pose passes below this blocked share (eta2)", "", 0.0, 1.0)
+    max_hypotheses: int = value(200, "hypotheses that are tried in order (K)", "", 1, 100_000)
 
 
 @dataclass(frozen=True)
-class DecisionConfig(_Group):
+class DecisionConfig(Group):
     """When a refined pose is accepted, rejected or left undecided; one set of borders for all sensors.
 
     Chosen from the values that benchmarks/decision.py measures on right and wrong labelled poses of every set, and from
     simulated corridors and traffic; docs and limits in benchmarks/README.md.
     """
 
-    min_oriented_overlap: float = _value(0.10, "less oriented overlap is too little to accept", "", 1e-3, 1.0)
-    max_blocked_per_overlap: float = _value(0.09, "blocked share over oriented overlap", "", 1e-3, 10.0)
-    max_scattered_per_overlap: float = _value(0.045, "the same outside the most blocked sectors", "", 1e-3, 10.0)
-    max_opposed_per_overlap: float = _value(0.60, "opposed share over oriented overlap", "", 1e-3, 10.0)
-    min_constraint: float = _value(0.015, "less agreement across two directions is too little", "", 1e-4, 1.0)
-    clear_overlap: float = _value(0.5, "so much oriented overlap allows for more moving objects", "", 0.0, 1.0)
-    blocked_factor_where_clear: float = _value(1.8, "then: factor on both blocked borders", "", 1.0, 10.0)
-    weak_constraint: float = _value(0.13, "surfaces that resist a shift less than this call for more", "", 0.0, 1.0)
-    max_blocked_where_weak: float = _value(0.045, "then: blocked share over oriented overlap", "", 1e-3, 10.0)
-    min_tight_where_weak: float = _value(0.70, "then: share of agreeing points within tau / 4", "", 0.0, 0.99)
-    sharpness: float = _value(2.0, "slope of the probability over the smallest log margin", "", 0.1, 100.0)
-    slip_m: float = _value(2.4, "an accepted pose is shifted so far along its weak directions", "m", 0.01, 100.0)
-    slip_score_ratio: float = _value(0.65, "a slip scoring this share of the pose is as good", "", 0.0, 1.0)
-    rival_score_ratio: float = _value(0.92, "another refined pose scoring this share is as good", "", 0.0, 1.0)
-    rival_strictness: float = _value(1.9, "factor by which a rival must keep the blocked borders", "", 0.1, 10.0)
+    min_oriented_overlap: float = value(0.10, "less oriented overlap is too little to accept", "", 1e-3, 1.0)
+    max_blocked_per_overlap: float = value(0.09, "blocked share over oriented overlap", "", 1e-3, 10.0)
+    max_scattered_per_overlap: float = value(0.045, "the same outside the most blocked sectors", "", 1e-3, 10.0)
+    max_opposed_per_overlap: float = value(0.60, "opposed share over oriented overlap", "", 1e-3, 10.0)
+    min_constraint: float = value(0.015, "less agreement across two directions is too little", "", 1e-4, 1.0)
+    clear_overlap: float = value(0.5, "so much oriented overlap allows for more moving objects", "", 0.0, 1.0)
+    blocked_factor_where_clear: float = value(1.8, "then: factor on both blocked borders", "", 1.0, 10.0)
+    weak_constraint: float = value(0.13, "surfaces that resist a shift less than this call for more", "", 0.0, 1.0)
+    max_blocked_where_weak: float = value(0.045, "then: blocked share over oriented overlap", "", 1e-3, 10.0)
+    min_tight_where_weak: float = value(0.70, "then: share of agreeing points within tau / 4", "", 0.0, 0.99)
+    sharpness: float = value(2.0, "slope of the probability over the smallest log margin", "", 0.1, 100.0)
+    slip_m: float = value(2.4, "an accepted pose is shifted so far along its weak directions", "m", 0.01, 100.0)
+    slip_score_ratio: float = value(0.65, "a slip scoring this share of the pose is as good", "", 0.0, 1.0)
+    rival_score_ratio: float = value(0.92, "another refined pose scoring this share is as good", "", 0.0, 1.0)
+    rival_strictness: float = value(1.9, "factor by which a rival must keep the blocked borders", "", 0.1, 10.0)
 
 
 @dataclass(frozen=True)
-class CovarianceConfig(_Group):
+class CovarianceConfig(Group):
     """Covariance of an accepted pose."""
 
-    points_per_constraint: float = _value(100.0, "neighbouring points that share one error", "", 1.0, 1e5)
-    floor_translation_m: float = _value(0.03, "smallest standard deviation of the translation", "m", 1e-4, 10.0)
-    floor_rotation_deg: float = _value(0.1, "smallest standard deviation of the rotation", "deg", 1e-4, 90.0)
+    points_per_constraint: float = value(100.0, "neighbouring points that share one error", "", 1.0, 1e5)
+    floor_translation_m: float = value(0.03, "smallest standard deviation of the translation", "m", 1e-4, 10.0)
+    floor_rotation_deg: float = value(0.1, "smallest standard deviation of the rotation", "deg", 1e-4, 90.0)
 
 
 @dataclass(frozen=True)
 class Config:
     """The whole configuration of one registration."""
 
-    method: str = _value("svc", "how a pose is chosen and judged", choices=METHODS)
+    method: str = value("svc", "how a pose is chosen and judged", choices=METHODS)
     preprocess: PreprocessConfig = field(default_factory=PreprocessConfig)
     features: FeatureConfig = field(default_factory=FeatureConfig)
     matching: MatchingConfig = field(default_factory=MatchingConfig)
@@ -206,35 +178,12 @@ class Config:
     covariance: CovarianceConfig = field(default_factory=CovarianceConfig)
 
     def __post_init__(self) -> None:
-        _check_value("method", self.method, dataclasses.fields(self)[0])
+        check_value("method", self.method, dataclasses.fields(self)[0])
 
     @property
     def feature_radius_m(self) -> float:
         """Neighbourhood of a descriptor [m]."""
         return self.features.radius_voxels * self.preprocess.voxel_size_m
-
-
-def _check_value(name: str, value: Any, f: dataclasses.Field[Any]) -> Any:
-    """Return `value` in the type of the field's default, or raise ConfigError naming what was expected."""
-    kind, meta = type(f.default), f.metadata
-    if isinstance(value, int) and not isinstance(value, bool) and kind is float:
-        value = float(value)
-    if not isinstance(value, kind) or isinstance(value, bool) is not (kind is bool):
-        raise ConfigError(f"{name}: expected {kind.__name__}, found {value!r}")
-    if meta["choices"] and value not in meta["choices"]:
-        raise ConfigError(unknown_name(name, str(value), meta["choices"]))
-    low, high = meta["low"], meta["high"]
-    if (low is not None and not value >= low) or (high is not None and not value <= high):
-        span = f"{low:g} to {high:g} {meta['unit']}".rstrip()
-        raise ConfigError(f"{name}: expected a value from {span}, found {value}")
-    return value
-
-
-def unknown_name(what: str, found: str, known: tuple[str, ...] | list[str]) -> str:
-    """One line for a name that does not exist, with the nearest one that does."""
-    near = difflib.get_close_matches(str(found), known, n=1, cutoff=0.5)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
-    return f"{what}: unknown name {found!r}{hint} (known: {', '.join(known)})"
 
 
 def walk(config: Config) -> Iterator[FieldInfo]:
@@ -249,10 +198,10 @@ def walk(config: Config) -> Iterator[FieldInfo]:
 
 def _leaves(config: Config) -> Iterator[tuple[dataclasses.Field[Any], str, Any]]:
     for f in dataclasses.fields(config):
-        value = getattr(config, f.name)
-        if dataclasses.is_dataclass(value):
-            for leaf in dataclasses.fields(value):
-                yield leaf, f"{f.name}.", value
+        group = getattr(config, f.name)
+        if dataclasses.is_dataclass(group):
+            for leaf in dataclasses.fields(group):
+                yield leaf, f"{f.name}.", group
         else:
             yield f, "", config
 
@@ -261,11 +210,11 @@ def with_values(config: Config, values: Mapping[str, Any]) -> Config:
     """Return a copy with dotted names replaced, checked as a whole; unknown names raise ConfigError."""
     known = [info.name for info in walk(config)]
     groups: dict[str, dict[str, Any]] = {}
-    for name, value in values.items():
+    for name, new in values.items():
         if name not in known:
             raise ConfigError(unknown_name("config", name, known))
         group, _, leaf = name.rpartition(".")
-        groups.setdefault(group, {})[leaf] = value
+        groups.setdefault(group, {})[leaf] = new
     changes: dict[str, Any] = groups.pop("", {})
     for group, leaves in groups.items():
         try:
