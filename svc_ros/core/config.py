@@ -148,7 +148,7 @@ class DecisionConfig(Group):
     min_tight_where_weak: float = value(0.70, "then: share of agreeing points within tau / 4", "", 0.0, 0.99)
     sharpness: float = value(2.0, "slope of the probability over the smallest log margin", "", 0.1, 100.0)
     slip_m: float = value(2.4, "an accepted pose is shifted so far along its weak directions", "m", 0.01, 100.0)
-    slip_score_ratio: float = value(0.65, "a slip scoring this share of the pose is as good", "", 0.0, 1.0)
+    slip_score_ratio: float = value(0.68, "a slip scoring this share of the pose is as good", "", 0.0, 1.0)
     rival_score_ratio: float = value(0.92, "another refined pose scoring this share is as good", "", 0.0, 1.0)
     rival_strictness: float = value(1.9, "factor by which a rival must keep the blocked borders", "", 0.1, 10.0)
 
