@@ -163,7 +163,7 @@ def _judge(pair: Pair, T: Array, others: list[SightViewEvidence]) -> Registratio
     evidence = pair.look(T)
     decided = decision.decide(evidence, pair.config.decision)
     if decided.verdict is Verdict.ACCEPTED:
-        far, near = ([pair.look(slip) for slip in _slips(pair, T, share)] for share in (1.0, 0.5))
+        far, near = ([pair.look(slip) for slip in slips] for slips in _slips(pair, T))
         doubts = decision.Doubts(others, far, near)
         decided = decision.doubt(decided, evidence, doubts, pair.config.decision)
     return pair.answer(T, evidence, decided)
@@ -174,7 +174,8 @@ def _settle(pair: Pair, T: Array) -> Array:
     num_points = len(pair.source)
     T = pair.refine(T, num_points).T_target_source
     start = decision.score(pair.look(T))
-    slips = _slips(pair, T, 1.0) + _slips(pair, T, 0.5)
+    far, near = _slips(pair, T)
+    slips = far + near
     scores = [decision.score(pair.look(slip)) for slip in slips]
     if max(scores) <= start:
         return T
@@ -182,11 +183,15 @@ def _settle(pair: Pair, T: Array) -> Array:
     return other if decision.score(pair.look(other)) > start else T
 
 
-def _slips(pair: Pair, T: Array, share: float) -> list[Array]:
-    """The pose, moved both ways by a share of the slip along every direction that the surfaces hardly resist."""
+def _slips(pair: Pair, T: Array) -> tuple[list[Array], list[Array]]:
+    """The pose, moved both ways along every direction that the surfaces hardly resist: by the slip, and by half."""
     config = pair.config.decision
     directions = pair.contact(T).weak_directions(config.weak_constraint)
-    return [shift(T, direction, sign * share * config.slip_m) for direction in directions for sign in (-1.0, 1.0)]
+
+    def moved(distance_m: float) -> list[Array]:
+        return [shift(T, direction, sign * distance_m) for direction in directions for sign in (-1.0, 1.0)]
+
+    return moved(config.slip_m), moved(0.5 * config.slip_m)
 
 
 Chooser = Callable[[Pair, Correspondences, HypothesisSet], RegistrationResult]
