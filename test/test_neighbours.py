@@ -66,12 +66,16 @@ def test_direction_grid_holds_every_point_in_its_cell():
     special = np.array([[0, 0, 1], [0, 0, -1], [-1, 0, 0], [-1, -0.0, 0], [1, 0, 0], [-1, 1e-12, 0], [-1, -1e-12, 0.0]])
     points = np.concatenate([RNG.normal(size=(500, 3)) * 10, special])
     normals = RNG.normal(size=points.shape)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     grid = DirectionGrid.build(points, normals)
     assert sorted(grid.order) == list(range(len(points)))
-    np.testing.assert_array_equal(grid.points, points[grid.order])
-    np.testing.assert_array_equal(grid.normals, normals[grid.order])
+    np.testing.assert_array_equal(grid.lines[:, :3], points[grid.order])
+    np.testing.assert_array_equal(grid.lines[:, 4:7], normals[grid.order])
+    np.testing.assert_allclose(grid.lines[:, 3], np.linalg.norm(grid.lines[:, :3], axis=1))
+    incidence = np.arccos(np.abs(np.einsum("ij,ij->i", grid.lines[:, :3], grid.lines[:, 4:7]) / grid.lines[:, 3]))
+    np.testing.assert_allclose(grid.lines[:, 7], np.tan(incidence), rtol=1e-6)
     cells = np.repeat(np.arange(grid.rows * grid.columns), np.diff(grid.cell_starts))
-    np.testing.assert_array_equal(cells, cells_by_hand(grid.points, grid.rows, grid.columns))
+    np.testing.assert_array_equal(cells, cells_by_hand(grid.lines[:, :3], grid.rows, grid.columns))
 
 
 def test_points_at_the_sensor_are_in_no_cell():
@@ -84,4 +88,4 @@ def test_structures_are_built_once_a_scan():
     assert radius_grid(scan, 0.5) is radius_grid(scan, 0.5)
     assert radius_grid(scan, 0.5) is not radius_grid(scan, 0.6)
     assert direction_grid(scan) is direction_grid(scan)
-    np.testing.assert_array_equal(direction_grid(scan).points, (scan.points - (1, 2, 3))[direction_grid(scan).order])
+    np.testing.assert_array_equal(direction_grid(scan).lines[:, :3], (scan.points - (1, 2, 3))[direction_grid(scan).order])

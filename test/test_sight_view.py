@@ -12,7 +12,7 @@ from svc_ros.core import paper_rule, se3
 from svc_ros.core.config import PaperConfig, SightViewConfig
 from svc_ros.core.preprocess import preprocess
 from svc_ros.core.scan import PreparedScan
-from svc_ros.core.sight_view import cone_half_angle_deg, count_scattered, gather_evidence
+from svc_ros.core.sight_view import azimuth_sectors, cone_half_angle_deg, count_scattered, gather_evidence
 
 
 def fixed_cone(half_angle_deg: float, tolerance: float, radius: float, incidence_deg: float) -> SightViewConfig:
@@ -220,9 +220,10 @@ def test_scattered_lines_are_those_outside_the_most_blocked_sectors():
     for _ in range(20):
         per_sector = rng.integers(0, 60, 36).tolist()
         points, blocked = all_around(per_sector)
-        assert count_scattered(points, blocked, config) == sum(sorted(per_sector)[:-2])
-    assert count_scattered(*all_around([0] * 10 + [80, 70]), config) == 0
-    assert count_scattered(*all_around([0] * 36), config) == 0
+        assert count_scattered(azimuth_sectors(points, config), blocked, config) == sum(sorted(per_sector)[:-2])
+    for counts in ([0] * 10 + [80, 70], [0] * 36):
+        points, blocked = all_around(counts)
+        assert count_scattered(azimuth_sectors(points, config), blocked, config) == 0
 
 
 def test_of_a_narrow_view_little_is_forgiven():
@@ -231,7 +232,7 @@ def test_of_a_narrow_view_little_is_forgiven():
     points, blocked = all_around([50, 40, 30])
     for num_sectors, forgiven in ((6, 0), (8, 1), (15, 1), (16, 2), (36, 2)):
         seen = points[: 100 * num_sectors]
-        assert count_scattered(seen, blocked, config) == [120, 70, 30][forgiven]
+        assert count_scattered(azimuth_sectors(seen, config), blocked, config) == [120, 70, 30][forgiven]
 
 
 def test_nothing_is_scattered_beyond_what_is_blocked():
@@ -266,3 +267,30 @@ def test_what_is_seen_does_not_depend_on_how_scans_are_written_down(kind):
         assert (one.num_lines, one.num_observed, one.num_blocked) == (
             other.num_lines, other.num_observed, other.num_blocked
         )  # fmt: skip
+
+
+@pytest.mark.parametrize("allowed", [-0.1, 0.0, 0.01, 0.1, 0.3, 2.0])
+def test_a_look_ends_early_exactly_where_more_is_blocked_than_allowed(allowed):
+    outcomes = set()
+    for seed in range(4):
+        source, target = random_scan(700, seed), random_scan(600, seed + 9)
+        seen_overlap = []
+
+        def allowance(overlap: float, seen: list[float] = seen_overlap) -> float:
+            seen.append(overlap)
+            return allowed
+
+        whole = gather_evidence(source, target, POSE, MIDDLE)
+        cut = gather_evidence(source, target, POSE, MIDDLE, allowance)
+        assert seen_overlap == [whole.oriented_overlap_ratio] == [cut.oriented_overlap_ratio]
+        ratios = (whole.source_in_target.blocked_ratio, whole.target_in_source.blocked_ratio)
+        assert whole.complete
+        assert cut.complete == (max(ratios) <= allowed)
+        outcomes.add(cut.complete)
+        if cut.complete:
+            assert cut.numbers() == whole.numbers()
+        else:
+            assert cut.source_in_target.num_blocked <= whole.source_in_target.num_blocked
+            assert set(cut.source_in_target.blocked_idx) <= set(whole.source_in_target.blocked_idx)
+            assert max(cut.source_in_target.blocked_ratio, cut.target_in_source.blocked_ratio) > min(allowed, -1e-9)
+    assert outcomes == {allowed > 0.05}

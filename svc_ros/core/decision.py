@@ -10,7 +10,9 @@ from dataclasses import dataclass
 from svc_ros.core.config import DecisionConfig
 from svc_ros.core.evidence import SightLines, SightViewEvidence
 from svc_ros.core.result import Reason, Verdict
+from svc_ros.core.sight_view import Allowance
 
+_BLOCKED_WEIGHT = 1.5  # a blocked line counts as much as this many agreeing points
 _FLOOR = 1e-3  # smallest share that logarithms see; one sight line in a thousand
 
 
@@ -45,7 +47,19 @@ class Margins:
 def score(evidence: SightViewEvidence) -> float:
     """How good a refined pose looks: what overlaps on the same side, less what contradicts a sight line."""
     blocked = evidence.source_in_target.blocked_ratio + evidence.target_in_source.blocked_ratio
-    return evidence.oriented_overlap_ratio - 1.5 * blocked
+    return evidence.oriented_overlap_ratio - _BLOCKED_WEIGHT * blocked
+
+
+def score_allowance(least_score: float) -> Allowance:
+    """The blocked share beyond which a pose cannot reach that score."""
+    return lambda oriented_overlap_ratio: (oriented_overlap_ratio - least_score) / _BLOCKED_WEIGHT
+
+
+def blocked_allowance(config: DecisionConfig) -> Allowance:
+    """The blocked share beyond which no pose is accepted, nor casts doubt on another."""
+    largest = config.max_blocked_per_overlap * max(config.blocked_factor_where_clear, 1.0 / config.rival_strictness)
+    largest = max(largest, config.max_blocked_where_weak)
+    return lambda oriented_overlap_ratio: largest * max(oriented_overlap_ratio, _FLOOR)
 
 
 def measure_margins(evidence: SightViewEvidence, config: DecisionConfig) -> Margins:

@@ -16,7 +16,8 @@ class SightLines:
     num_lines: sight lines that were checked; num_observed: lines along which the other scan has a point (the
     paper's region of interest); blocked_idx: (B,) indices into the observer's prepared points whose line another
     point blocks; blocker_idx: (B,) the point of the other scan that blocks it; num_scattered: blocked lines outside the
-    few most blocked azimuth sectors: a moving object blocks one sector, a wrong pose all of them.
+    few most blocked azimuth sectors: a moving object blocks one sector, a wrong pose all of them; complete: False if
+    the search ended early, at least so many being blocked.
     """
 
     num_lines: int
@@ -24,6 +25,7 @@ class SightLines:
     blocked_idx: IndexArray
     blocker_idx: IndexArray
     num_scattered: int = -1  # not counted: all of them
+    complete: bool = True
 
     def __post_init__(self) -> None:
         for name in ("blocked_idx", "blocker_idx"):
@@ -74,6 +76,11 @@ class SightViewEvidence:
     constraint_ratio: float = 1.0
     weakest_constraint: float = 1.0 / 3.0
     tight_ratio: float = 1.0
+
+    @property
+    def complete(self) -> bool:
+        """Whether every line of both scans was looked at."""
+        return self.source_in_target.complete and self.target_in_source.complete
 
     def numbers(self) -> dict[str, float | int]:
         """The evidence as flat key-values, for messages, files and the decision's model."""

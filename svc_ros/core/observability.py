@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from svc_ros.core import se3
 from svc_ros.core.config import CovarianceConfig, SightViewConfig
-from svc_ros.core.neighbours import radius_grid
+from svc_ros.core.placement import place
 from svc_ros.core.scan import Array, PreparedScan
 
 
@@ -63,14 +62,13 @@ def find_contact(
     source: PreparedScan, target: PreparedScan, T_target_source: Array, config: SightViewConfig
 ) -> SurfaceContact:
     """Source points that lie on target surface facing the same way, with the planes they lie on."""
-    points, normals = se3.apply(T_target_source, source.points), se3.rotate(T_target_source, source.normals)
-    nearest = radius_grid(target, config.tolerance_m).nearest(points)
-    near = np.flatnonzero(nearest >= 0)
-    planes = target.normals[nearest[near]]
-    same = np.einsum("ij,ij->i", normals[near], planes) > config.same_side_cosine
+    placed = place(target, source, T_target_source, config)
+    near = np.flatnonzero(placed.nearest >= 0)
+    planes = target.normals[placed.nearest[near]]
+    same = np.einsum("ij,ij->i", placed.normals[near], planes) > config.same_side_cosine
     chosen, planes = near[same], planes[same]
-    offset = points[chosen] - target.points[nearest[chosen]]
-    return SurfaceContact(points[chosen], planes, np.einsum("ij,ij->i", offset, planes))
+    offset = placed.points[chosen] - target.points[placed.nearest[chosen]]
+    return SurfaceContact(placed.points[chosen], planes, np.einsum("ij,ij->i", offset, planes))
 
 
 def shift(T_target_source: Array, direction: Array, distance_m: float) -> Array:

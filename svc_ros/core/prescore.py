@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from svc_ros.core import sight_kernels
+from svc_ros.core import prescore_kernels
 from svc_ros.core.scan import Array, IndexArray, PreparedScan
 
 _MIN_COSINE = 0.6
@@ -34,7 +34,7 @@ class DilatedCells:
     def build(cls, scan: PreparedScan, edge_m: float) -> DilatedCells:
         """Mark every cell of `edge_m` within one cell of a point."""
         keys = np.empty(len(scan), np.int64)
-        sight_kernels.fill_keys(scan.points, 1.0 / edge_m, keys)
+        prescore_kernels.fill_keys(scan.points, 1.0 / edge_m, keys)
         steps = np.array([(a << 42) + (b << 21) + c for a in (-1, 0, 1) for b in (-1, 0, 1) for c in (-1, 0, 1)])
         cells, row = np.unique((keys[:, None] + steps).ravel(), return_inverse=True)
         repeated = np.repeat(scan.normals, len(steps), axis=0)
@@ -42,7 +42,7 @@ class DilatedCells:
         sums /= np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-9)
         capacity = 1 << int(2 * len(cells) - 1).bit_length()
         table_keys, table_row, table_end = (np.empty(capacity, np.int64) for _ in range(3))
-        sight_kernels.fill_hash(cells, table_keys, table_row, table_end)
+        prescore_kernels.fill_hash(cells, table_keys, table_row, table_end)
         return cls(sums, table_keys, table_row, edge_m)
 
 
@@ -62,7 +62,7 @@ def prescore(
     cells = dilated_cells(target, edge_m)
     sample = thin_evenly(len(source), num_points)
     agreeing = np.zeros(len(T), np.int64)
-    sight_kernels.count_agreeing(
+    prescore_kernels.count_agreeing(
         np.ascontiguousarray(T), source.points[sample], source.normals[sample],
         cells.table_keys, cells.table_row, cells.normals, edge_m, _MIN_COSINE, agreeing,
     )  # fmt: skip

@@ -19,7 +19,7 @@ from svc_ros.core.prescore import thinned_scan
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Array, Correspondences, HypothesisSet, PreparedScan
 from svc_ros.core.se3 import pose_error
-from svc_ros.core.sight_view import gather_evidence
+from svc_ros.core.sight_view import Allowance, allow_all, gather_evidence
 from svc_ros.core.stopwatch import Stopwatch
 
 
@@ -33,10 +33,10 @@ class Pair:
     counts: dict[str, int]
     watch: Stopwatch
 
-    def look(self, T: Array) -> SightViewEvidence:
-        """The evidence of one pose."""
+    def look(self, T: Array, allowance: Allowance = allow_all) -> SightViewEvidence:
+        """The evidence of one pose; the look ends early where more is blocked than allowed."""
         with self.watch.stage("sight_view"):
-            return gather_evidence(self.source, self.target, T, self.config.sight_view)
+            return gather_evidence(self.source, self.target, T, self.config.sight_view, allowance)
 
     def promise(self, evidence: SightViewEvidence) -> float:
         """What poses are ranked by: the smallest margin that the decision will look at."""
@@ -125,11 +125,20 @@ def _choose_best(pair: Pair, starts: Array) -> RegistrationResult:
     """Refine poses (S, 4, 4), look along the sight lines of each, judge the best; the others may cast doubt on it."""
     limits = pair.config.shortlist
     refined = np.array([pair.refine(T, limits.icp_points).T_target_source for T in starts])
-    evidence = [pair.look(T) for T in refined]
     pair.counts["judged"] = pair.counts.get("judged", 0) + len(refined)
-    T = _settle(pair, refined[int(np.argmax([pair.promise(e) for e in evidence]))])
-    near = shortlist.find_near(refined, T, limits)
-    return _judge(pair, T, [e for e, same in zip(evidence, near, strict=True) if not same])
+    evidence = _look_at_all(pair, refined)
+    settled = _settle(pair, refined[int(np.argmax([pair.promise(e) for e in evidence]))])
+    near = shortlist.find_near(refined, settled.T_target_source, limits)
+    return _judge(pair, settled, [e for e, same in zip(evidence, near, strict=True) if not same])
+
+
+def _look_at_all(pair: Pair, poses: Array) -> list[SightViewEvidence]:
+    """Evidence of poses (S, 4, 4): whole for every pose that may be accepted, and for all if none may be."""
+    allowance = decision.blocked_allowance(pair.config.decision)
+    evidence = [pair.look(T, allowance) for T in poses]
+    if any(e.complete and pair.promise(e) > 0 for e in evidence):
+        return evidence
+    return [e if e.complete else pair.look(T) for e, T in zip(evidence, poses, strict=True)]
 
 
 def _search_widely(pair: Pair, by_agreement: Array) -> Array:
@@ -155,43 +164,56 @@ def verify_svc(pair: Pair, T: Array) -> RegistrationResult:
     limits = pair.config.shortlist
     if angle > limits.max_moved_rotation_deg or distance > limits.max_moved_translation_m:
         return pair.answer(T, pair.look(T), decision.moved_away(angle, distance))
-    return _judge(pair, refined, [])
+    evidence = pair.look(refined)
+    if decision.decide(evidence, pair.config.decision).verdict is not Verdict.ACCEPTED:
+        return _judge(pair, Settled(refined, evidence, [], []), [])
+    return _judge(pair, _with_slips(pair, refined, evidence), [])
 
 
-def _judge(pair: Pair, T: Array, others: list[SightViewEvidence]) -> RegistrationResult:
-    """Decide on a refined pose; an acceptance stands only if no different pose is about as good."""
-    evidence = pair.look(T)
-    decided = decision.decide(evidence, pair.config.decision)
-    if decided.verdict is Verdict.ACCEPTED:
-        far, near = ([pair.look(slip) for slip in slips] for slips in _slips(pair, T))
-        doubts = decision.Doubts(others, far, near)
-        decided = decision.doubt(decided, evidence, doubts, pair.config.decision)
-    return pair.answer(T, evidence, decided)
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """A refined pose with its evidence, and with that of the pose shifted where the surfaces hardly resist it.
+
+    far_slips: shifted both ways along every weak direction by the slip; near_slips: by half of it. Each is a pose and
+    its evidence, which is whole where the slip's score comes near that of the pose.
+    """
+
+    T_target_source: Array
+    evidence: SightViewEvidence
+    far_slips: list[tuple[Array, SightViewEvidence]]
+    near_slips: list[tuple[Array, SightViewEvidence]]
 
 
-def _settle(pair: Pair, T: Array) -> Array:
-    """Refine with all points; where a slip along the weakest direction looks better, refine from there instead."""
+def _judge(pair: Pair, settled: Settled, others: list[SightViewEvidence]) -> RegistrationResult:
+    """Decide on a settled pose; an acceptance stands only if no different pose is about as good."""
+    far, near = ([evidence for _, evidence in slips] for slips in (settled.far_slips, settled.near_slips))
+    decided = decision.decide(settled.evidence, pair.config.decision)
+    decided = decision.doubt(decided, settled.evidence, decision.Doubts(others, far, near), pair.config.decision)
+    return pair.answer(settled.T_target_source, settled.evidence, decided)
+
+
+def _settle(pair: Pair, T: Array) -> Settled:
+    """Refine with all points; where a slip along a weak direction looks better, refine from there instead."""
     num_points = len(pair.source)
     T = pair.refine(T, num_points).T_target_source
-    start = decision.score(pair.look(T))
-    far, near = _slips(pair, T)
-    slips = far + near
-    scores = [decision.score(pair.look(slip)) for slip in slips]
-    if max(scores) <= start:
-        return T
-    other = pair.refine(slips[int(np.argmax(scores))], num_points).T_target_source
-    return other if decision.score(pair.look(other)) > start else T
+    settled = _with_slips(pair, T, pair.look(T))
+    slip, evidence = max(settled.far_slips + settled.near_slips, key=lambda item: decision.score(item[1]))
+    if decision.score(evidence) <= decision.score(settled.evidence):
+        return settled
+    other = pair.refine(slip, num_points).T_target_source
+    seen = pair.look(other)
+    return _with_slips(pair, other, seen) if decision.score(seen) > decision.score(settled.evidence) else settled
 
 
-def _slips(pair: Pair, T: Array) -> tuple[list[Array], list[Array]]:
-    """The pose, moved both ways along every direction that the surfaces hardly resist: by the slip, and by half."""
-    config = pair.config.decision
+def _with_slips(pair: Pair, T: Array, evidence: SightViewEvidence) -> Settled:
+    config, best = pair.config.decision, decision.score(evidence)
     directions = pair.contact(T).weak_directions(config.weak_constraint)
 
-    def moved(distance_m: float) -> list[Array]:
-        return [shift(T, direction, sign * distance_m) for direction in directions for sign in (-1.0, 1.0)]
+    def slips(distance_m: float, least_score: float) -> list[tuple[Array, SightViewEvidence]]:
+        poses = [shift(T, direction, sign * distance_m) for direction in directions for sign in (-1.0, 1.0)]
+        return [(pose, pair.look(pose, decision.score_allowance(least_score))) for pose in poses]
 
-    return moved(config.slip_m), moved(0.5 * config.slip_m)
+    return Settled(T, evidence, slips(config.slip_m, config.slip_score_ratio * best), slips(0.5 * config.slip_m, best))
 
 
 Chooser = Callable[[Pair, Correspondences, HypothesisSet], RegistrationResult]

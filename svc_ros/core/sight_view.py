@@ -7,42 +7,46 @@ are always looked at (paper, Algorithm 1). The published rule, to the letter, is
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
 from svc_ros.core import se3, sight_kernels
 from svc_ros.core.config import SightViewConfig
 from svc_ros.core.evidence import SightLines, SightViewEvidence
-from svc_ros.core.neighbours import direction_grid, radius_grid
-from svc_ros.core.scan import Array, PreparedScan
+from svc_ros.core.neighbours import direction_grid
+from svc_ros.core.placement import Placement, place
+from svc_ros.core.scan import Array, IndexArray, PreparedScan
+
+Allowance = Callable[[float], float]
+
+
+def allow_all(oriented_overlap_ratio: float) -> float:
+    """No bound: every blocked line is found."""
+    return math.inf
 
 
 def gather_evidence(
-    source: PreparedScan, target: PreparedScan, T_target_source: Array, config: SightViewConfig
+    source: PreparedScan,
+    target: PreparedScan,
+    T_target_source: Array,
+    config: SightViewConfig,
+    allowance: Allowance = allow_all,
 ) -> SightViewEvidence:
-    """Look along the sight lines of both scans with the other one placed by the pose."""
-    in_target, source_shares = _look(target, source, T_target_source, config)
-    in_source, target_shares = _look(source, target, se3.invert(T_target_source), config)
-    return SightViewEvidence(in_target, in_source, *np.minimum(source_shares, target_shares).tolist())
+    """Look along the sight lines of both scans with the other one placed by the pose.
 
-
-def _look(
-    observer: PreparedScan, other: PreparedScan, T_observer_other: Array, config: SightViewConfig
-) -> tuple[SightLines, Array]:
-    """The observer's sight lines, and shares of the other scan: it overlaps, agrees, is opposed, constrains."""
-    points, normals = se3.apply(T_observer_other, other.points), se3.rotate(T_observer_other, other.normals)
-    nearest = radius_grid(observer, config.tolerance_m).nearest(points)
-    near = nearest >= 0
-    surface = observer.normals[nearest[near]]
-    cosine = np.einsum("ij,ij->i", normals[near], surface)
-    same, opposed = cosine > config.same_side_cosine, int((cosine < -config.same_side_cosine).sum())
-    planes, num_same = surface[same], max(int(same.sum()), 1)
-    offset = points[near][same] - observer.points[nearest[near][same]]
-    tight = np.abs(np.einsum("ij,ij->i", offset, planes)) < 0.25 * config.tolerance_m
-    weakest, middle, _ = np.maximum(np.linalg.eigvalsh(planes.T @ planes), 0.0)  # sums, so they weigh how much agrees
-    of_all = np.array([near.sum(), same.sum(), opposed, middle]) / len(points)
-    shares = np.concatenate((of_all, np.array([weakest, tight.sum()]) / num_same))
-    return _find_blocked(observer, points, normals, ~near, config), shares
+    allowance: from the oriented overlap ratio, which is known first, to the blocked share beyond which the pose is of
+    no interest; the look ends there, and its evidence is not `complete`: at least so many lines are blocked.
+    """
+    in_target = place(target, source, T_target_source, config)
+    in_source = place(source, target, se3.invert(T_target_source), config)
+    shares = np.minimum(in_target.shares(), in_source.shares()).tolist()
+    allowed = allowance(shares[1])
+    target_lines = find_blocked(target, in_target, config, allowed)
+    source_lines = find_blocked(source, in_source, config, allowed if target_lines.complete else -1.0)
+    return SightViewEvidence(target_lines, source_lines, *shares)
 
 
 def cone_half_angle_deg(observer: PreparedScan, config: SightViewConfig) -> float:
@@ -50,33 +54,50 @@ def cone_half_angle_deg(observer: PreparedScan, config: SightViewConfig) -> floa
     return min(max(config.cone_beams * observer.beam_spacing_deg, config.min_cone_deg), config.max_cone_deg)
 
 
-def _find_blocked(
-    observer: PreparedScan, points: Array, normals: Array, alone: NDArray[np.bool_], config: SightViewConfig
+def find_blocked(
+    observer: PreparedScan, placement: Placement, config: SightViewConfig, max_blocked_ratio: float = math.inf
 ) -> SightLines:
-    """Blocked lines of the observer, with the points (M, 3) that lie on nothing of its scan as possible blockers."""
-    grid = direction_grid(observer)
-    num = len(observer)
-    cone_deg = cone_half_angle_deg(observer, config)
-    blocker, blocker_range, observed = np.full(num, -1, np.int64), np.zeros(num), np.zeros(num, bool)
+    """Lines of the observer that end behind a placed point which lies on nothing of the observer's own surface.
+
+    The search ends as soon as more than that share of the lines is blocked.
+    """
+    grid, num = direction_grid(observer), len(observer)
+    max_blocked = math.floor(max_blocked_ratio * num) if max_blocked_ratio < 1.0 else num
+    blocker, blocker_range, observed = np.full(num, -1, np.int64), np.empty(num), np.zeros(num, bool)
     limits = np.array(
         [config.tolerance_m, config.beam_radius_voxels * observer.voxel_size_m,
-         np.radians(cone_deg), np.tan(np.radians(config.max_incidence_deg))]
+         np.sin(np.radians(cone_half_angle_deg(observer, config))), np.tan(np.radians(config.max_incidence_deg))]
     )  # fmt: skip
-    names = np.flatnonzero(alone)
-    sight_kernels.find_blockers(
-        points[names] - observer.sensor_origin, normals[names], names, grid.points, grid.normals, grid.order,
-        grid.cell_starts, grid.rows, grid.columns, limits, blocker, blocker_range, observed,
-    )  # fmt: skip
+    num_blocked = 0
+    if max_blocked >= 0:
+        num_blocked = sight_kernels.find_blockers(
+            placement.points, placement.normals, placement.nearest, observer.sensor_origin, limits, max_blocked,
+            grid.lines, grid.order, grid.cell_starts, grid.rows, grid.columns, blocker, blocker_range, observed,
+        )  # fmt: skip
     blocked = np.flatnonzero(blocker >= 0)
-    scattered = count_scattered(observer.points - observer.sensor_origin, blocked, config)
-    return SightLines(num, int(observed.sum()), blocked, blocker[blocked], scattered)
+    scattered = count_scattered(_sectors(observer, config), blocked, config)
+    complete = 0 <= num_blocked <= max_blocked
+    return SightLines(num, int(observed.sum()), blocked, blocker[blocked], scattered, complete)
 
 
-def count_scattered(relative_points: Array, blocked_idx: NDArray[np.int64], config: SightViewConfig) -> int:
-    """Blocked lines outside the most blocked azimuth sectors; of a narrow view at most an eighth is left out."""
+def _sectors(observer: PreparedScan, config: SightViewConfig) -> IndexArray:
+    """Azimuth sector (N,) of each of the observer's lines, found once a scan."""
+    key = ("sectors", config.sector_deg)
+    if key not in observer.memo:
+        observer.memo[key] = azimuth_sectors(observer.points - observer.sensor_origin, config)
+    sectors: IndexArray = observer.memo[key]
+    return sectors
+
+
+def azimuth_sectors(relative_points: Array, config: SightViewConfig) -> IndexArray:
+    """Sector (N,) of points (N, 3) [m] given relative to the sensor."""
     azimuth = np.degrees(np.arctan2(relative_points[:, 1], relative_points[:, 0])) + 180.0
-    sector = np.floor(azimuth / config.sector_deg).astype(np.int64)
-    num_seen = int(np.count_nonzero(np.bincount(sector)))
+    return np.floor(azimuth / config.sector_deg).astype(np.int64)
+
+
+def count_scattered(sectors: IndexArray, blocked_idx: NDArray[np.int64], config: SightViewConfig) -> int:
+    """Blocked lines outside the most blocked azimuth sectors; of a narrow view at most an eighth is left out."""
+    num_seen = int(np.count_nonzero(np.bincount(sectors)))
     forgiven = min(config.forgiven_sectors, num_seen // 8)
-    counts = np.sort(np.bincount(sector[blocked_idx]))
+    counts = np.sort(np.bincount(sectors[blocked_idx]))
     return int(counts[: max(len(counts) - forgiven, 0)].sum())
