@@ -12,6 +12,7 @@ from typing import Any
 
 from svc_ros.core.config_fields import FieldInfo, Group, check_value, unknown_name, value
 from svc_ros.core.errors import ConfigError
+from svc_ros.core.stream_config import LoopClosureConfig, ScanMatchingConfig
 
 __all__ = ["METHODS", "PRESETS", "Config", "FieldInfo", "preset", "unknown_name", "walk", "with_values"]
 
@@ -74,6 +75,8 @@ class HypothesisConfig(Group):
     second_consensus: int = value(20, "size of the second consensus set (k2)", "", 3, 64)
     power_iterations: int = value(20, "rounds of the power iteration", "", 1, 1000)
     ranking: str = value("ic", "metric that ranks hypotheses", choices=("ic", "mae", "mse"))
+    gravity_aligned: bool = value(False, "z is up in both scans: poses that tilt it more than max_tilt_deg are dropped")
+    max_tilt_deg: float = value(10.0, "largest tilt of a hypothesis, if gravity_aligned", "deg", 0.0, 180.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -99,7 +102,8 @@ class ShortlistConfig(Group):
     correspondence_rounds: int = value(20, "rounds of weighted Kabsch on the correspondences", "", 0, 100)
     correspondence_eps_m: float = value(1.2, "residual at which a weight is one half (eps)", "m", 1e-3, 10.0)
     icp_rounds: int = value(12, "rounds of point-to-plane ICP", "", 0, 200)
-    icp_points: int = value(2500, "source points of the shortlist's ICP; the last takes all", "", 50, 1_000_000)
+    icp_points: int = value(1000, "source points of the shortlist's ICP", "", 50, 1_000_000)
+    icp_last_points: int = value(5000, "source points of the last ICP, of the pose that is judged", "", 50, 1_000_000)
     icp_distance_m: float = value(1.0, "largest distance of an ICP pair", "m", 1e-3, 10.0)
 
 
@@ -176,6 +180,8 @@ class Config:
     paper: PaperConfig = field(default_factory=PaperConfig)
     decision: DecisionConfig = field(default_factory=DecisionConfig)
     covariance: CovarianceConfig = field(default_factory=CovarianceConfig)
+    scan_matching: ScanMatchingConfig = field(default_factory=ScanMatchingConfig)
+    loop_closure: LoopClosureConfig = field(default_factory=LoopClosureConfig)
 
     def __post_init__(self) -> None:
         check_value("method", self.method, dataclasses.fields(self)[0])

@@ -48,4 +48,5 @@ def place(observer: PreparedScan, other: PreparedScan, T_observer_other: Array, 
         np.array([config.tolerance_m, config.same_side_cosine]), *grid.tables, points, normals, nearest, sums,
     )  # fmt: skip
     near, same, opposed, tight = sums[:4].astype(np.int64).tolist()
-    return Placement(points, normals, nearest, near, same, opposed, tight, sums[[4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(3, 3))
+    planes = sums[[4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(3, 3)
+    return Placement(points, normals, nearest, near, same, opposed, tight, planes)

@@ -42,7 +42,7 @@ class Pair:
         """What poses are ranked by: the smallest margin that the decision will look at."""
         return decision.measure_margins(evidence, self.config.decision).smallest
 
-    def refine(self, T: Array, num_points: int) -> shortlist.RefinedPose:
+    def refine(self, T: Array, num_points: int) -> Array:
         """One pose after ICP with about that many points."""
         with self.watch.stage("refinement"):
             return shortlist.refine_by_icp(T, self.source, self.target, self.config.shortlist, num_points)
@@ -124,7 +124,7 @@ def choose_svc(pair: Pair, correspondences: Correspondences, hypotheses: Hypothe
 def _choose_best(pair: Pair, starts: Array) -> RegistrationResult:
     """Refine poses (S, 4, 4), look along the sight lines of each, judge the best; the others may cast doubt on it."""
     limits = pair.config.shortlist
-    refined = np.array([pair.refine(T, limits.icp_points).T_target_source for T in starts])
+    refined = np.array([pair.refine(T, limits.icp_points) for T in starts])
     pair.counts["judged"] = pair.counts.get("judged", 0) + len(refined)
     evidence = _look_at_all(pair, refined)
     settled = _settle(pair, refined[int(np.argmax([pair.promise(e) for e in evidence]))])
@@ -159,7 +159,7 @@ def _search_widely(pair: Pair, by_agreement: Array) -> Array:
 
 def verify_svc(pair: Pair, T: Array) -> RegistrationResult:
     """Refine the pose and judge it; one that refinement moves away is not the pose that was asked about."""
-    refined = pair.refine(T, len(pair.source)).T_target_source
+    refined = pair.refine(T, pair.config.shortlist.icp_last_points)
     angle, distance = pose_error(refined, T)
     limits = pair.config.shortlist
     if angle > limits.max_moved_rotation_deg or distance > limits.max_moved_translation_m:
@@ -193,14 +193,14 @@ def _judge(pair: Pair, settled: Settled, others: list[SightViewEvidence]) -> Reg
 
 
 def _settle(pair: Pair, T: Array) -> Settled:
-    """Refine with all points; where a slip along a weak direction looks better, refine from there instead."""
-    num_points = len(pair.source)
-    T = pair.refine(T, num_points).T_target_source
+    """Refine with more points; where a slip along a weak direction looks better, refine from there instead."""
+    num_points = pair.config.shortlist.icp_last_points
+    T = pair.refine(T, num_points)
     settled = _with_slips(pair, T, pair.look(T))
     slip, evidence = max(settled.far_slips + settled.near_slips, key=lambda item: decision.score(item[1]))
     if decision.score(evidence) <= decision.score(settled.evidence):
         return settled
-    other = pair.refine(slip, num_points).T_target_source
+    other = pair.refine(slip, num_points)
     seen = pair.look(other)
     return _with_slips(pair, other, seen) if decision.score(seen) > decision.score(settled.evidence) else settled
 

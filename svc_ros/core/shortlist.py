@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,20 +12,6 @@ from svc_ros.core import se3
 from svc_ros.core.config import Config, HypothesisConfig, ShortlistConfig
 from svc_ros.core.prescore import prescore, thin_evenly
 from svc_ros.core.scan import Array, Correspondences, HypothesisSet, IndexArray, PreparedScan
-
-
-@dataclass(frozen=True, eq=False)
-class RefinedPose:
-    """A pose after point-to-plane ICP.
-
-    hessian: (6, 6) of the summed squared residuals in [rotation, translation] of a right perturbation;
-    num_pairs: ICP pairs; sq_error: half the sum of their squared point-to-plane residuals [m^2].
-    """
-
-    T_target_source: Array
-    hessian: Array
-    num_pairs: int
-    sq_error: float
 
 
 def select_distinct(T: Array, config: ShortlistConfig, limit: int) -> IndexArray:
@@ -71,34 +56,33 @@ def refine_on_correspondences(
 
 def refine_by_icp(
     T: Array, source: PreparedScan, target: PreparedScan, config: ShortlistConfig, num_points: int
-) -> RefinedPose:
-    """Point-to-plane ICP (small_gicp, one thread: the same bits every time), wide first, then half as wide.
+) -> Array:
+    """Pose (4, 4) after point-to-plane ICP (small_gicp, one thread: the same bits every time).
 
-    About `num_points` source points take part.
+    From far away with few points first, then from half as far with about `num_points` of the source's.
     """
-    pair = (source, target)
-    first = _align(T, pair, num_points, config.icp_distance_m, config.icp_rounds)
-    T = se3.nearest_pose(first.T_target_source)
-    last = _align(T, pair, num_points, 0.5 * config.icp_distance_m, config.icp_rounds)
-    T = se3.nearest_pose(last.T_target_source)
-    return RefinedPose(T, np.asarray(last.H), int(last.num_inliers), float(last.error))
+    few = min(config.icp_points, num_points)
+    first = _align(T, (source, target), few, config.icp_distance_m, config.icp_rounds)
+    return _align(first, (source, target), num_points, 0.5 * config.icp_distance_m, config.icp_rounds)
 
 
 def refine_roughly(T: Array, source: PreparedScan, target: PreparedScan, config: ShortlistConfig) -> Array:
     """ICP with a few hundred points from farther away: enough to see whether a hypothesis leads anywhere."""
     for distance in (config.rough_icp_distance_m, 0.5 * config.rough_icp_distance_m):
-        result = _align(T, (source, target), config.rough_points, distance, config.icp_rounds // 2)
-        T = se3.nearest_pose(result.T_target_source)
+        T = _align(T, (source, target), config.rough_points, distance, config.icp_rounds // 2)
     return T
 
 
-def _align(T: Array, pair: tuple[PreparedScan, PreparedScan], num_points: int, distance_m: float, rounds: int) -> Any:
+def _align(
+    T: Array, pair: tuple[PreparedScan, PreparedScan], num_points: int, distance_m: float, rounds: int
+) -> Array:
     source, target = pair
-    return small_gicp.align(
+    result = small_gicp.align(
         surface_cloud(target), thinned_cloud(source, num_points), surface_tree(target), T,
         registration_type="PLANE_ICP", max_correspondence_distance=distance_m,
         max_iterations=rounds, rotation_epsilon=1e-4, translation_epsilon=1e-4,
     )  # fmt: skip
+    return se3.nearest_pose(result.T_target_source)
 
 
 def order_by_agreement(T: Array, source: PreparedScan, target: PreparedScan, config: ShortlistConfig) -> Array:

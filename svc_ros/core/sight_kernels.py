@@ -71,7 +71,8 @@ def find_blockers(placed, turned, nearest, origin, limits, max_blocked, lines, o
         sine = np.sqrt(sq_limit) / p_range
         angle = arcsine_bound(sine)
         elevation, azimuth = np.arctan2(pz, flat) + 0.5 * np.pi, np.arctan2(py, px) + np.pi
-        row_from, row_to = max(int((elevation - angle) * row_step), 0), min(int((elevation + angle) * row_step), rows - 1)
+        row_from = max(int((elevation - angle) * row_step), 0)
+        row_to = min(int((elevation + angle) * row_step), rows - 1)
         cosine = (flat * np.sqrt(1.0 - sine * sine) - abs(pz) * sine) / p_range  # of the elevation nearest to a pole
         spread = arcsine_bound(sine / cosine) if cosine > 0.0 else np.pi
         column_from = int(np.floor((azimuth - spread) * column_step))

@@ -1,0 +1,37 @@
+"""Values of what works on a stream of scans: scan matching and loop closure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from svc_ros.core.config_fields import Group, value
+
+
+@dataclass(frozen=True)
+class ScanMatchingConfig(Group):
+    """Motion by KISS-ICP, judged against keyframes."""
+
+    map_voxel_size_m: float = value(1.0, "edge of the voxels of KISS-ICP's map", "m", 0.01, 10.0)
+    max_iterations: int = value(100, "most ICP rounds of one motion", "", 1, 1000)
+    first_threshold_m: float = value(2.0, "error that the first predictions may have", "m", 1e-3, 100.0)
+    verify_points: int = value(5000, "a scan is judged with at least so many points, if it has them", "", 100, 1_000_000)
+    keyframe_overlap: float = value(0.6, "with less oriented overlap a scan becomes the next keyframe", "", 0.0, 1.0)
+    keyframe_distance_m: float = value(8.0, "farther from its keyframe a scan becomes the next one", "m", 0.01, 1000.0)
+    max_keyframes: int = value(20, "most keyframes that are kept, the newest", "", 1, 10_000)
+    recovery_attempts: int = value(3, "most keyframes that a scan with a rejected motion is registered to", "", 0, 100)
+    max_late_s: float = value(1.0, "a stamp farther back is a jump in time: everything starts anew", "s", 0.0, 3600.0)
+
+
+@dataclass(frozen=True)
+class LoopClosureConfig(Group):
+    """Keyframes, candidates for loops among them, and how many are judged."""
+
+    keyframe_distance_m: float = value(2.0, "a scan this far from the last keyframe becomes one", "m", 0.0, 1000.0)
+    keyframe_rotation_deg: float = value(30.0, "a scan turned this far from it becomes one, too", "deg", 0.0, 180.0)
+    max_keyframes: int = value(500, "most keyframes that are kept, the newest", "", 2, 100_000)
+    min_gap_s: float = value(20.0, "least time between the two scans of a loop", "s", 0.0, 1e6)
+    max_distance_m: float = value(10.0, "keyframes farther by odometry are no candidates by distance", "m", 0.0, 1e5)
+    max_near: int = value(1, "most candidates of a keyframe by distance", "", 0, 1000)
+    max_similar: int = value(1, "most candidates of a keyframe by the look of the place", "", 0, 1000)
+    min_similarity: float = value(0.8, "least similarity of places that look the same", "", 0.0, 1.0)
+    max_late_s: float = value(1.0, "a stamp farther back is a jump in time: everything starts anew", "s", 0.0, 3600.0)
