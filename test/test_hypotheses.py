@@ -9,6 +9,7 @@ import pytest
 import reference
 from assertions import assert_same_bits, assert_same_pose
 from correspondence_cases import T_TRUE, degenerate_cases, random_case, read_kitti_case
+from scipy.spatial.transform import Rotation
 
 from svc_ros.core import hypotheses as stage
 from svc_ros.core import se3
@@ -111,3 +112,42 @@ def test_seeds_are_limited_but_never_padded():
 def test_the_same_correspondences_give_the_same_bits():
     first, second = (stage.generate_hypotheses(random_case(200), CONFIG) for _ in range(2))
     assert_same_bits(first.T_target_source, second.T_target_source)
+
+
+def turned(sequence: str, *angles_deg: float) -> np.ndarray:
+    return se3.make_pose(Rotation.from_euler(sequence, angles_deg, degrees=True).as_matrix(), (30.0, -5.0, 1.0))
+
+
+@pytest.mark.parametrize("yaw_deg", [0.0, 90.0, 179.9, 180.0, -30.0])
+def test_turns_about_z_are_no_tilt(yaw_deg):
+    upright = turned("z", yaw_deg)[None]
+    assert_same_bits(stage.drop_tilted(upright, 0.0), upright)
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+@pytest.mark.parametrize(("tilt_deg", "stays"), [(9.99, True), (-9.99, True), (10.01, False), (-10.01, False),
+                                                 (90.0, False), (170.0, False), (180.0, False)])  # fmt: skip
+def test_a_pose_tilted_by_more_than_the_bound_is_dropped(axis, tilt_deg, stays):
+    poses = np.array([turned("z" + axis, 70.0, tilt_deg), turned(axis + "z", tilt_deg, -140.0)])
+    assert_same_bits(stage.drop_tilted(poses, 10.0), poses if stays else poses[:0])
+
+
+def test_upside_down_wins_by_matches_but_not_where_gravity_is_known():
+    x = np.random.default_rng(3).uniform(-20, 20, (100, 3)) * (1, 1, 0.2)
+    flipped, upright = turned("x", 180.0), turned("zy", 60.0, 5.0)
+    case = Correspondences.from_points(x, np.concatenate((se3.apply(flipped, x[:60]), se3.apply(upright, x[60:]))))
+    every_seed = dataclasses.replace(CONFIG, seed_ratio=1.0)
+    found = stage.generate_hypotheses(case, every_seed)
+    level = stage.generate_hypotheses(case, dataclasses.replace(every_seed, gravity_aligned=True))
+    assert_same_pose(found.T_target_source[0], flipped, 1e-5, 1e-5)
+    assert_same_pose(level.T_target_source[0], upright, 1e-5, 1e-5)
+    stays = found.T_target_source[:, 2, 2] > np.cos(np.radians(10.0))
+    assert_same_bits(level.T_target_source, found.T_target_source[stays])  # and nothing else changes
+    assert level.num_inliers.tolist() == found.num_inliers[stays].tolist()
+
+
+def test_no_upright_hypothesis_is_no_hypothesis():
+    x = random_case(64).source_points
+    case = Correspondences.from_points(x, se3.apply(turned("y", 40.0), x))
+    assert len(stage.generate_hypotheses(case, CONFIG)) > 0
+    assert len(stage.generate_hypotheses(case, dataclasses.replace(CONFIG, gravity_aligned=True))) == 0

@@ -21,7 +21,8 @@ def generate_hypotheses(correspondences: Correspondences, config: HypothesisConf
     weights = np.zeros(sets.shape)
     kernels.set_weights(sets, sizes, x, y, config.compatibility_threshold_m, config.power_iterations, weights)
     T, valid = se3.kabsch(x[sets], y[sets], weights)
-    return rank(T[valid & (sizes >= 3)], correspondences, config)
+    T = T[valid & (sizes >= 3)]
+    return rank(drop_tilted(T, config.max_tilt_deg) if config.gravity_aligned else T, correspondences, config)
 
 
 def select_seeds(source_points: Array, confidence: Array, config: HypothesisConfig) -> IndexArray:
@@ -48,6 +49,12 @@ def find_consensus_sets(
         loose, tight, config.first_consensus, config.second_consensus, sets, sizes,
     )  # fmt: skip
     return sets, sizes
+
+
+def drop_tilted(T: Array, max_tilt_deg: float) -> Array:
+    """The poses (H, 4, 4) that tilt the z axis by at most `max_tilt_deg` [deg], however they turn about it."""
+    tilt = np.degrees(np.arctan2(np.hypot(T[:, 0, 2], T[:, 1, 2]), T[:, 2, 2]))  # exact near 0 and near 180 deg
+    return T[tilt <= max_tilt_deg]
 
 
 def rank(T: Array, correspondences: Correspondences, config: HypothesisConfig) -> HypothesisSet:
