@@ -39,12 +39,15 @@ console = Console(width=None if sys.stdout.isatty() else 150)
 Item, Answer = TypeVar("Item"), TypeVar("Answer")
 
 
-def parse_options(text: str, extend: Callable[[argparse.ArgumentParser], None] | None = None) -> argparse.Namespace:
-    """Options of every script: where the data are, where the results go, how many processes work."""
+def parse_options(
+    text: str, extend: Callable[[argparse.ArgumentParser], None] | None = None, workers: bool = True
+) -> argparse.Namespace:
+    """Options of every script: where the data are, where the results go, how many processes work (if several may)."""
     parser = argparse.ArgumentParser(description=text, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     parser.add_argument("--data", type=Path, default=DEFAULT_DATA, help="folder of the data sets")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder for the JSON file and the picture")
-    parser.add_argument("--workers", type=int, default=min(2, os.cpu_count() or 1), help="processes")
+    if workers:
+        parser.add_argument("--workers", type=int, default=min(2, os.cpu_count() or 1), help="processes")
     if extend is not None:
         extend(parser)
     options = parser.parse_args()
