@@ -119,6 +119,7 @@ class SightViewConfig(Group):
     max_incidence_deg: float = value(85.0, "cap of the angle between ray and normal (phi)", "deg", 0.0, 89.9)
     sector_deg: float = value(10.0, "azimuth sectors in which blocked lines are counted", "deg", 1.0, 90.0)
     forgiven_sectors: int = value(2, "most blocked sectors left out of the scattered share", "", 0, 36)
+    free_reach_m: float = value(30.0, "surface met head on is surely seen up to this", "m", 0.0, 1e4)
     same_side_cosine: float = value(0.3, "normals agree above this, are opposed below its negative", "", 0.0, 1.0)
 
 
@@ -144,6 +145,8 @@ class DecisionConfig(Group):
     max_blocked_per_overlap: float = value(0.09, "blocked share over oriented overlap", "", 1e-3, 10.0)
     max_scattered_per_overlap: float = value(0.045, "the same outside the most blocked sectors", "", 1e-3, 10.0)
     max_opposed_per_overlap: float = value(0.60, "opposed share over oriented overlap", "", 1e-3, 10.0)
+    max_free_blocked_per_overlap: float = value(0.15, "filled share of free space over oriented overlap", "", 1e-3, 10)
+    min_free: int = value(100, "fewer directions in which nothing was met count for nothing", "", 1, 1_000_000)
     min_constraint: float = value(0.015, "less agreement across two directions is too little", "", 1e-4, 1.0)
     clear_overlap: float = value(0.5, "so much oriented overlap allows for more moving objects", "", 0.0, 1.0)
     blocked_factor_where_clear: float = value(1.8, "then: factor on both blocked borders", "", 1.0, 10.0)
@@ -249,6 +252,9 @@ PRESETS: dict[str, Config] = {
             "hypotheses.second_consensus": 6,
             "shortlist.rough_poses": 100,
             "sight_view.tolerance_m": 0.4,
+            "scan_matching.keyframe_distance_m": 3.0,
+            "loop_closure.keyframe_distance_m": 1.0,
+            "loop_closure.max_distance_m": 12.0,
         },
     ),
     "rgbd_indoor": with_values(
@@ -268,10 +274,16 @@ PRESETS: dict[str, Config] = {
             "shortlist.rough_icp_distance_m": 0.2,
             "shortlist.prescore_cell_m": 0.1,
             "sight_view.tolerance_m": 0.1,
+            "sight_view.free_reach_m": 3.0,
             "decision.slip_m": 0.9,
             "covariance.points_per_constraint": 200.0,
             "covariance.floor_translation_m": 0.01,
             "paper.tolerance_m": 0.1,
+            "scan_matching.map_voxel_size_m": 0.1,
+            "scan_matching.first_threshold_m": 0.2,
+            "scan_matching.keyframe_distance_m": 0.5,
+            "loop_closure.keyframe_distance_m": 0.3,
+            "loop_closure.max_distance_m": 3.0,
         },
     ),
 }

@@ -30,8 +30,8 @@ class Decision:
 class Margins:
     """How far the evidence lies on the good side of each border, as natural logarithms of ratios.
 
-    free: blocked sight lines; same_side: surfaces seen from both sides; overlap: agreeing surface, enough of it and
-    facing more than one way.
+    free: blocked sight lines, filled free space; same_side: surfaces seen from both sides; overlap: agreeing surface,
+    enough of it and facing more than one way.
     """
 
     free: float
@@ -73,9 +73,10 @@ def measure_margins(evidence: SightViewEvidence, config: DecisionConfig) -> Marg
     if evidence.weakest_constraint >= config.weak_constraint:
         clear = evidence.oriented_overlap_ratio >= config.clear_overlap
         allowance = math.log(config.blocked_factor_where_clear) if clear else 0.0
-        return dataclasses.replace(plain, free=plain.free + allowance)
+        return dataclasses.replace(plain, free=min(plain.free + allowance, _free_space_margin(evidence, config)))
     tight = _log_odds(evidence.tight_ratio) - _log_odds(config.min_tight_where_weak)
     free = _free_margin(evidence, config.max_blocked_where_weak, config)
+    free = min(free, _free_space_margin(evidence, config))
     return Margins(free=free, same_side=plain.same_side, overlap=min(plain.overlap, tight))
 
 
@@ -100,6 +101,13 @@ def _free_margin(evidence: SightViewEvidence, max_blocked: float, config: Decisi
     return min(of(evidence.source_in_target), of(evidence.target_in_source))
 
 
+def _free_space_margin(evidence: SightViewEvidence, config: DecisionConfig) -> float:
+    """Infinite where neither sensor tells enough free directions, so that it can only speak against a pose."""
+    largest = config.max_free_blocked_per_overlap * max(evidence.oriented_overlap_ratio, _FLOOR)
+    told = [s for s in (evidence.source_in_target, evidence.target_in_source) if s.num_free >= config.min_free]
+    return min((math.log(largest / (lines.free_blocked_ratio + _FLOOR)) for lines in told), default=math.inf)
+
+
 def _log_odds(share: float) -> float:
     clipped = min(max(share, _FLOOR), 1.0 - _FLOOR)
     return math.log(clipped / (1.0 - clipped))
@@ -113,7 +121,7 @@ def decide(evidence: SightViewEvidence, config: DecisionConfig) -> Decision:
     if margins.smallest > 0:
         detail = f"free sight lines, oriented overlap {agreeing:.3f}"
         return Decision(Verdict.ACCEPTED, Reason.OK, probability, detail)
-    if _plain_margins(evidence, config).smallest > 0:
+    if min(_plain_margins(evidence, config).smallest, _free_space_margin(evidence, config)) > 0:
         detail = (
             f"surfaces that resist a shift by {evidence.weakest_constraint:.3f} only: blocked shares or contact "
             f"(tight {evidence.tight_ratio:.2f}) leave it open"
@@ -121,12 +129,18 @@ def decide(evidence: SightViewEvidence, config: DecisionConfig) -> Decision:
         return Decision(Verdict.UNDECIDED, Reason.INSUFFICIENT_EVIDENCE, probability, detail)
     if margins.overlap <= min(margins.free, margins.same_side):
         return _too_little_overlap(evidence, margins, probability, config)
-    blocked = max(evidence.source_in_target.blocked_ratio, evidence.target_in_source.blocked_ratio)
-    detail = (
-        f"blocked sight lines {blocked:.3f} and surfaces seen from both sides {evidence.opposed_ratio:.3f} "
-        f"against oriented overlap {agreeing:.3f}"
+    return Decision(Verdict.REJECTED, Reason.SIGHT_VIEW_BLOCKED, probability, _contradictions(evidence))
+
+
+def _contradictions(evidence: SightViewEvidence) -> str:
+    ways = (evidence.source_in_target, evidence.target_in_source)
+    free = max(lines.free_blocked_ratio for lines in ways)
+    filled = f"filled free space {free:.3f}, " if free else ""
+    blocked = max(lines.blocked_ratio for lines in ways)
+    return (
+        f"{filled}blocked sight lines {blocked:.3f} and surfaces seen from both sides {evidence.opposed_ratio:.3f} "
+        f"against oriented overlap {evidence.oriented_overlap_ratio:.3f}"
     )
-    return Decision(Verdict.REJECTED, Reason.SIGHT_VIEW_BLOCKED, probability, detail)
 
 
 def _too_little_overlap(

@@ -18,6 +18,8 @@ class SightLines:
     point blocks; blocker_idx: (B,) the point of the other scan that blocks it; num_scattered: blocked lines outside the
     few most blocked azimuth sectors: a moving object blocks one sector, a wrong pose all of them; complete: False if
     the search ended early, at least so many being blocked.
+    num_free: directions in which the observer's sensor met nothing (0 where it tells none, or the search ended early);
+    num_free_blocked: of those, along which the other scan has surface that the sensor would have seen.
     """
 
     num_lines: int
@@ -26,6 +28,8 @@ class SightLines:
     blocker_idx: IndexArray
     num_scattered: int = -1  # not counted: all of them
     complete: bool = True
+    num_free: int = 0
+    num_free_blocked: int = 0
 
     def __post_init__(self) -> None:
         for name in ("blocked_idx", "blocker_idx"):
@@ -48,6 +52,11 @@ class SightLines:
     def scattered_ratio(self) -> float:
         """Scattered share of all sight lines, in [0, 1]."""
         return self.num_scattered / self.num_lines if self.num_lines else 0.0
+
+    @property
+    def free_blocked_ratio(self) -> float:
+        """Share of the free directions along which the other scan has surface, in [0, 1]."""
+        return self.num_free_blocked / self.num_free if self.num_free else 0.0
 
     @property
     def observed_ratio(self) -> float:
@@ -98,8 +107,14 @@ class SightViewEvidence:
             "scattered_ratio_target_in_source": far.scattered_ratio,
             "observed_ratio_source_in_target": near.observed_ratio,
             "observed_ratio_target_in_source": far.observed_ratio,
+            "free_blocked_ratio_source_in_target": near.free_blocked_ratio,
+            "free_blocked_ratio_target_in_source": far.free_blocked_ratio,
             "num_blocked_source_in_target": near.num_blocked,
             "num_blocked_target_in_source": far.num_blocked,
             "num_lines_source_in_target": near.num_lines,
             "num_lines_target_in_source": far.num_lines,
+            "num_free_blocked_source_in_target": near.num_free_blocked,
+            "num_free_blocked_target_in_source": far.num_free_blocked,
+            "num_free_source_in_target": near.num_free,
+            "num_free_target_in_source": far.num_free,
         }

@@ -7,6 +7,7 @@ from scipy.spatial import cKDTree
 
 from svc_ros.core.config import PreprocessConfig
 from svc_ros.core.errors import ConfigError, TooFewPointsError
+from svc_ros.core.neighbours import RadiusGrid
 from svc_ros.core.scan import Array, IndexArray, PreparedScan, Scan
 
 _FRACTION_STEPS = 2.0**32  # a point's place inside its voxel, in steps of a nanometre or less
@@ -14,6 +15,7 @@ _FRACTION_STEPS = 2.0**32  # a point's place inside its voxel, in steps of a nan
 _SECTOR_DEG = 0.5
 _EVERY_SECTOR = 6  # a sixth of the points shows the spacing as well as all of them
 _SAME_BEAM_DEG = 0.05
+_FREE_CELL = float(np.radians(1.0))  # edge on the unit sphere: one free direction a cell, no return as near to it
 
 
 def preprocess(scan: Scan, config: PreprocessConfig) -> PreparedScan:
@@ -32,8 +34,9 @@ def preprocess(scan: Scan, config: PreprocessConfig) -> PreparedScan:
     normals = estimate_normals(points, scan.sensor_origin, config)
     spacing = estimate_beam_spacing_deg(cropped - scan.sensor_origin)
     return PreparedScan(
-        points, normals, scan.sensor_origin, config.voxel_size_m, scan.stamp_ns, scan.frame_id, spacing
-    )
+        points, normals, scan.sensor_origin, config.voxel_size_m, scan.stamp_ns, scan.frame_id, spacing,
+        thin_free_directions(scan),
+    )  # fmt: skip
 
 
 def crop_range(points: Array, sensor_origin: Array, config: PreprocessConfig) -> Array:
@@ -79,6 +82,23 @@ def thin_on_voxel_grid(points: Array, voxel_size_m: float) -> Array:
     mean = sums / (_FRACTION_STEPS * np.bincount(row)[:, None])
     thinned = corner + voxel_size_m * (cell[first] + mean)
     return thinned[np.lexsort(thinned.T)]
+
+
+def thin_free_directions(scan: Scan) -> Array:
+    """Unit directions (F, 3), about a degree apart, in which the scan's sensor met nothing; empty where none is told.
+
+    A direction with a return beside it says nothing: one beam's return may be lost, or the beam passes an edge.
+    """
+    if scan.free_directions is None or len(scan.free_directions) == 0:
+        return np.zeros((0, 3))
+    thinned = _units(thin_on_voxel_grid(scan.free_directions, _FREE_CELL))
+    seen = scan.points - scan.sensor_origin
+    returns = _units(seen[np.square(seen).sum(1) > 0])
+    return thinned[RadiusGrid.build(returns, _FREE_CELL).nearest(thinned) < 0]
+
+
+def _units(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
 def _cell_numbers(cell: IndexArray, voxel_size_m: float) -> IndexArray:

@@ -19,6 +19,10 @@ def _zero_origin() -> Array:
     return np.zeros(3)
 
 
+def _no_directions() -> Array:
+    return np.zeros((0, 3))
+
+
 def frozen_array(value: ArrayLike, dtype: type, name: str, shape: tuple[int | None, ...]) -> NDArray[Any]:
     """Return a read-only view (or converted copy) of `value`; None in `shape` leaves that axis free."""
     try:
@@ -40,12 +44,19 @@ def _freeze(instance: object, name: str, dtype: type, shape: tuple[int | None, .
     object.__setattr__(instance, name, frozen_array(getattr(instance, name), dtype, label, shape))
 
 
+def _check_unit(directions: Array, name: str) -> None:
+    lengths = np.linalg.norm(directions, axis=1)
+    if (np.abs(lengths - 1.0) > 1e-3).any():
+        raise InputError(f"{name}: expected unit vectors, found lengths {lengths.min():g} to {lengths.max():g}")
+
+
 @dataclass(frozen=True, eq=False)
 class Scan:
     """One sweep of a range sensor, as it came from outside.
 
     points: (N, 3) [m] in the frame `frame_id`; sensor_origin: (3,) [m], where the sensor stood in that frame;
-    stamp_ns: header stamp; point_times_s: (N,) offsets [s] from the stamp where the sensor tells them.
+    stamp_ns: header stamp; point_times_s: (N,) offsets [s] from the stamp where the sensor tells them;
+    free_directions: (F, 3) unit, in that frame: where the sensor tells that it looked along them and met nothing.
     """
 
     points: Array
@@ -53,12 +64,16 @@ class Scan:
     frame_id: str = ""
     sensor_origin: Array = field(default_factory=_zero_origin)
     point_times_s: Array | None = None
+    free_directions: Array | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, "points", np.float64, (None, 3))
         _freeze(self, "sensor_origin", np.float64, (3,))
         if self.point_times_s is not None:
             _freeze(self, "point_times_s", np.float64, (len(self.points),))
+        if self.free_directions is not None:
+            _freeze(self, "free_directions", np.float64, (None, 3))
+            _check_unit(self.free_directions, "Scan.free_directions")
 
     def __len__(self) -> int:
         return len(self.points)
@@ -70,7 +85,8 @@ class PreparedScan:
 
     points: (K, 3) [m]; normals: (K, 3) unit, turned towards the sensor; sensor_origin: (3,) [m];
     voxel_size_m: the grid that thinned it; beam_spacing_deg: angle between neighbouring beams of the raw scan, 0 if
-    unknown; memo: search structures, built on first use and kept with the scan.
+    unknown; free_directions: (F, 3) unit, along which the sensor met nothing, about a degree apart; memo: search
+    structures, built on first use and kept with the scan.
     """
 
     points: Array
@@ -80,12 +96,14 @@ class PreparedScan:
     stamp_ns: int = 0
     frame_id: str = ""
     beam_spacing_deg: float = 0.0
+    free_directions: Array = field(default_factory=_no_directions)
     memo: dict[Hashable, Any] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         _freeze(self, "points", np.float64, (None, 3))
         _freeze(self, "normals", np.float64, (len(self.points), 3))
         _freeze(self, "sensor_origin", np.float64, (3,))
+        _freeze(self, "free_directions", np.float64, (None, 3))
 
     def __len__(self) -> int:
         return len(self.points)

@@ -41,6 +41,21 @@ def arcsine_bound(x):  # type: ignore[no-untyped-def]
 
 
 @_jit
+def cells_around(x, y, z, sine, rows, columns):  # type: ignore[no-untyped-def]
+    """First and last row, first and last column (to be taken modulo) of the directions within an angle of (x, y, z)."""
+    row_step, column_step = rows / np.pi, columns / (2.0 * np.pi)
+    flat, angle = np.sqrt(x * x + y * y), arcsine_bound(sine)
+    elevation, azimuth = np.arctan2(z, flat) + 0.5 * np.pi, np.arctan2(y, x) + np.pi
+    row_from, row_to = max(int((elevation - angle) * row_step), 0), min(int((elevation + angle) * row_step), rows - 1)
+    length = np.sqrt(flat * flat + z * z)
+    cosine = (flat * np.sqrt(1.0 - sine * sine) - abs(z) * sine) / length  # of the elevation nearest to a pole
+    spread = arcsine_bound(sine / cosine) if cosine > 0.0 else np.pi
+    column_from = int(np.floor((azimuth - spread) * column_step))
+    column_to = min(int(np.floor((azimuth + spread) * column_step)), column_from + columns - 1)
+    return row_from, row_to, column_from, column_to
+
+
+@_jit
 def find_blockers(placed, turned, nearest, origin, limits, max_blocked, lines, order, cell_starts, rows, columns, blocker, blocker_range, observed):  # type: ignore[no-untyped-def]  # fmt: skip  # noqa: E501
     """Find the sight lines that end behind a point of the other scan; return how many.
 
@@ -56,7 +71,6 @@ def find_blockers(placed, turned, nearest, origin, limits, max_blocked, lines, o
     plane contains the other point within the tolerance.
     """
     tolerance, radius, max_sine, max_tangent = limits[0], limits[1], limits[2], limits[3]
-    row_step, column_step = rows / np.pi, columns / (2.0 * np.pi)
     num_blocked = 0
     for m in range(placed.shape[0]):
         if nearest[m] >= 0:
@@ -68,15 +82,7 @@ def find_blockers(placed, turned, nearest, origin, limits, max_blocked, lines, o
         if p_range <= radius:
             continue
         sq_limit = min(radius, p_range * max_sine) ** 2
-        sine = np.sqrt(sq_limit) / p_range
-        angle = arcsine_bound(sine)
-        elevation, azimuth = np.arctan2(pz, flat) + 0.5 * np.pi, np.arctan2(py, px) + np.pi
-        row_from = max(int((elevation - angle) * row_step), 0)
-        row_to = min(int((elevation + angle) * row_step), rows - 1)
-        cosine = (flat * np.sqrt(1.0 - sine * sine) - abs(pz) * sine) / p_range  # of the elevation nearest to a pole
-        spread = arcsine_bound(sine / cosine) if cosine > 0.0 else np.pi
-        column_from = int(np.floor((azimuth - spread) * column_step))
-        column_to = min(int(np.floor((azimuth + spread) * column_step)), column_from + columns - 1)
+        row_from, row_to, column_from, column_to = cells_around(px, py, pz, np.sqrt(sq_limit) / p_range, rows, columns)
         for row in range(row_from, row_to + 1):
             for column in range(column_from, column_to + 1):
                 cell = row * columns + column % columns
@@ -105,3 +111,35 @@ def find_blockers(placed, turned, nearest, origin, limits, max_blocked, lines, o
         if num_blocked > max_blocked:
             break
     return num_blocked
+
+
+@_jit
+def find_free_blocked(placed, turned, nearest, origin, limits, rays, order, cell_starts, rows, columns, met):  # type: ignore[no-untyped-def]
+    """met (F,): whether a free ray, by its name, meets a placed point that the sensor would have seen.
+
+    placed, turned, nearest, origin: as in find_blockers; limits: (beam radius, sine of its largest half angle,
+    smallest range, range of a surface met head on, largest tangent of the incidence angle);
+    rays (F, 8): unit directions as fill_lines leaves them, sorted by direction cell; order (F,): their names.
+    """
+    radius, max_sine, min_range, reach, max_tangent = limits[0], limits[1], limits[2], limits[3], limits[4]
+    min_cosine = 1.0 / np.sqrt(1.0 + max_tangent * max_tangent)
+    for m in range(placed.shape[0]):
+        if nearest[m] >= 0:
+            continue
+        px, py, pz = placed[m, 0] - origin[0], placed[m, 1] - origin[1], placed[m, 2] - origin[2]
+        sq_p = px * px + py * py + pz * pz
+        p_range = np.sqrt(sq_p)
+        if p_range <= radius or not min_range <= p_range <= reach:
+            continue
+        cosine = abs(turned[m, 0] * px + turned[m, 1] * py + turned[m, 2] * pz) / p_range
+        if cosine < min_cosine or sq_p > cosine * reach * reach:
+            continue
+        sq_limit = min(radius, p_range * max_sine) ** 2
+        row_from, row_to, column_from, column_to = cells_around(px, py, pz, np.sqrt(sq_limit) / p_range, rows, columns)
+        for row in range(row_from, row_to + 1):
+            for column in range(column_from, column_to + 1):
+                cell = row * columns + column % columns
+                for i in range(cell_starts[cell], cell_starts[cell + 1]):
+                    dot = px * rays[i, 0] + py * rays[i, 1] + pz * rays[i, 2]
+                    if dot > 0.0 and sq_p - dot * dot <= sq_limit:
+                        met[order[i]] = True

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from svc_ros.core import se3, sight_kernels
 from svc_ros.core.config import SightViewConfig
 from svc_ros.core.evidence import SightLines, SightViewEvidence
+from svc_ros.core.free_space import count_free_blocked
 from svc_ros.core.neighbours import direction_grid
 from svc_ros.core.placement import Placement, place
 from svc_ros.core.prescore import thinned_scan
@@ -100,7 +101,11 @@ def find_blocked(
     blocked = np.flatnonzero(blocker >= 0)
     scattered = count_scattered(_sectors(observer, config), blocked, config)
     complete = 0 <= num_blocked <= max_blocked
-    return SightLines(num, int(observed.sum()), blocked, blocker[blocked], scattered, complete)
+    num_free = len(observer.free_directions) if complete else 0
+    free_blocked = count_free_blocked(observer, placement, config) if num_free else 0
+    return SightLines(
+        num, int(observed.sum()), blocked, blocker[blocked], scattered, complete, num_free, free_blocked
+    )  # fmt: skip
 
 
 def _sectors(observer: PreparedScan, config: SightViewConfig) -> IndexArray:

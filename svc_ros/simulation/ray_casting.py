@@ -28,17 +28,20 @@ class CastScan:
     """One simulated turn of a sensor, all taken at one instant.
 
     points: (N, 3) float32 [m] in the sensor's frame; intensity: (N,) float32 in [0, 1]; beam_idx: (N,) row of the
-    beam table; object_idx: (N,) index into `Scene.objects` of what was hit.
+    beam table; object_idx: (N,) index into `Scene.objects` of what was hit; free_directions: (F, 3) float32 unit, the
+    firings without a return: nothing in range, or, as the sensor cannot tell, a return that was lost or too weak.
     """
 
     points: NDArray[np.float32]
     intensity: NDArray[np.float32]
     beam_idx: IndexArray
     object_idx: IndexArray
+    free_directions: NDArray[np.float32]
 
-    def scan(self, stamp_ns: int = 0, frame_id: str = "lidar") -> Scan:
-        """The points as a Scan whose sensor stands at the origin."""
-        return Scan(self.points.astype(np.float64), stamp_ns, frame_id)
+    def scan(self, stamp_ns: int = 0, frame_id: str = "lidar", *, tell_free: bool = False) -> Scan:
+        """The points as a Scan whose sensor stands at the origin; tell_free: with the firings that met nothing."""
+        free = self.free_directions.astype(np.float64) if tell_free else None
+        return Scan(self.points.astype(np.float64), stamp_ns, frame_id, free_directions=free)
 
     def __len__(self) -> int:
         return len(self.points)
@@ -81,7 +84,8 @@ class RayCaster:
         points = rays[keep] * distance[keep, None]
         intensity = np.clip(self._reflectivity[hits.object_idx[keep]] * hits.cosine[keep], 0.0, 1.0)
         beams = np.nonzero(keep)[0] % sensor.num_beams
-        return CastScan(points.astype(np.float32), intensity.astype(np.float32), beams, hits.object_idx[keep])
+        free = rays[~keep & (distance >= sensor.min_range_m)].astype(np.float32)
+        return CastScan(points.astype(np.float32), intensity.astype(np.float32), beams, hits.object_idx[keep], free)
 
     def _trace(self, pose: Array, rays: Array, time_s: float) -> _Hits:
         world_rays = se3.rotate(pose, rays)
