@@ -21,53 +21,14 @@ def described(descriptors: np.ndarray) -> Features:
     return Features(PreparedScan(points, np.tile((0.0, 0, 1), (len(points), 1)), np.zeros(3), 0.3), descriptors)
 
 
-def unit_rows(num: int, length: int = 33, signed: bool = False) -> np.ndarray:
-    rows = RNG.normal(size=(num, length)) if signed else RNG.random((num, length)) ** 4
+def unit_rows(num: int) -> np.ndarray:
+    rows = RNG.random((num, 33)) ** 4
     return (rows / np.linalg.norm(rows, axis=1, keepdims=True)).astype(np.float32)
 
 
 def pairs_of(found, source: Features, target: Features) -> list[tuple[int, int]]:
     """Indices again: point k of `described` starts with 3 k."""
     return [(int(s[0] / 3), int(t[0] / 3)) for s, t in zip(found.source_points, found.target_points, strict=True)]
-
-
-@pytest.mark.parametrize("signed", [False, True])
-@pytest.mark.parametrize(("num_a", "num_b"), [(1, 1), (1, 300), (300, 1), (63, 120), (64, 121), (65, 119), (300, 400)])
-def test_nearest_of_all_equals_the_full_matrix(num_a, num_b, signed):
-    a, b = unit_rows(num_a, signed=signed), unit_rows(num_b, signed=signed)
-    index, distance, second = reference.nearest_descriptors(a, b)
-    found = matching.find_nearest(a, b, with_ratio=True)
-    np.testing.assert_array_equal(found.index, index)
-    np.testing.assert_array_equal(found.back, reference.nearest_descriptors(b, a)[0])
-    np.testing.assert_allclose(found.distance, distance, atol=1e-5)
-    np.testing.assert_allclose(found.ratio, distance / second, atol=1e-4)
-
-
-@pytest.mark.parametrize("length", [1, 3, 32, 128, 5000])
-def test_descriptors_of_any_length(length):
-    a, b = unit_rows(70, length, signed=True), unit_rows(90, length, signed=True)
-    np.testing.assert_array_equal(matching.find_nearest(a, b).index, reference.nearest_descriptors(a, b)[0])
-
-
-def test_many_tiles_in_both_directions(monkeypatch):
-    monkeypatch.setattr(matching, "_ROWS", 7)
-    monkeypatch.setattr(matching, "_PANELS", 2)
-    monkeypatch.setattr(matching, "_MAX_MULTIPLICATIONS", 7 * 33 * 8)
-    a, b = unit_rows(60), unit_rows(77)
-    found = matching.find_nearest(a, b, with_ratio=True)
-    index, distance, second = reference.nearest_descriptors(a, b)
-    np.testing.assert_array_equal(found.index, index)
-    np.testing.assert_array_equal(found.back, reference.nearest_descriptors(b, a)[0])
-    np.testing.assert_allclose(found.ratio, distance / second, atol=1e-4)
-
-
-def test_of_equal_descriptors_the_first_is_taken():
-    row = unit_rows(1)
-    a, b = np.repeat(row, 200, 0), np.repeat(row, 500, 0)
-    found = matching.find_nearest(a, b)
-    assert not found.index.any()
-    assert not found.back.any()
-    assert found.mutual().tolist() == [0]
 
 
 def test_strategies_keep_what_they_promise():
@@ -110,3 +71,19 @@ def test_described_points_are_matched_past_the_others():
     rows[::2] = 0
     source = target = described(rows)
     assert pairs_of(matching.match(source, target, CONFIG), source, target) == [(i, i) for i in range(1, 50, 2)]
+
+
+def test_every_description_of_a_scan_is_matched_as_what_it_is():
+    """The search structure is kept with the scan, not with whatever described it last."""
+    source, first, second = described(unit_rows(60)), unit_rows(80), unit_rows(80)
+    target = described(first)
+    for rows in (first, second, first):
+        features = Features(target.prepared, rows)
+        expected = reference.mutual_matches(source.descriptors, rows)
+        assert pairs_of(matching.match(source, features, CONFIG), source, features) == expected
+
+
+def test_exchanged_scans_have_the_same_mutual_matches():
+    source, target = described(unit_rows(400)), described(unit_rows(300))
+    there, back = matching.match(source, target, CONFIG), matching.match(target, source, CONFIG)
+    assert sorted(pairs_of(there, source, target)) == sorted((i, j) for j, i in pairs_of(back, target, source))
