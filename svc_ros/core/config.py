@@ -251,6 +251,7 @@ PRESETS: dict[str, Config] = {
             "hypotheses.first_consensus": 12,
             "hypotheses.second_consensus": 6,
             "shortlist.rough_poses": 100,
+            "shortlist.icp_points": 2500,
             "sight_view.tolerance_m": 0.4,
             "scan_matching.keyframe_distance_m": 3.0,
             "loop_closure.keyframe_distance_m": 1.0,
