@@ -41,8 +41,8 @@ class Contact:
 
 @dataclass(frozen=True)
 class Row:
-    """One labelled pose. seen: evidence of each view; slips: evidence of the shifted poses of a view, far_back, back,
-    ahead, far_ahead, where any rule might accept it; contact: of right poses only; verified: verdict and probability
+    """One labelled pose. seen: evidence of each view; slips: evidence of the shifted poses of a view, in the order of
+    `slipped`, where any rule might accept it; contact: of right poses only; verified: verdict and probability
     that `verify` gave, for a sample of poses."""
 
     dataset: str
@@ -92,7 +92,7 @@ def gather(job: tuple[Dataset, CandidatePair, int]) -> list[Row]:
 def _measure(scans: tuple[PreparedScan, PreparedScan], config: Config, candidate: Candidate, reference: Array) -> Row:
     pair = selection.Pair(*scans, config, {}, Stopwatch())
     given = candidate.T_target_source
-    refined = pair.refine(given, len(scans[0])).T_target_source
+    refined = pair.refine(given, config.shortlist.icp_last_points)
     cone = with_values(config, {f"sight_view.{end}_cone_deg": PAPER_CONE_DEG for end in ("min", "max")}).sight_view
     views = {
         "refined": (refined, config.sight_view), "given": (given, config.sight_view), "cone": (refined, cone)
@@ -114,10 +114,10 @@ def _measure(scans: tuple[PreparedScan, PreparedScan], config: Config, candidate
 
 
 def slipped(pair: selection.Pair, T: Array) -> list[Array]:
-    """The shifted poses that `verify` looks at: far back, back, ahead, far ahead."""
-    direction, _ = pair.contact(T).weakest_direction()
+    """The shifted poses that `verify` looks at, by weak direction: far back, back, ahead, far ahead."""
+    directions = pair.contact(T).weak_directions(pair.config.decision.weak_constraint)
     far = pair.config.decision.slip_m
-    return [shift(T, direction, distance) for distance in (-far, -0.5 * far, 0.5 * far, far)]
+    return [shift(T, direction, d) for direction in directions for d in (-far, -0.5 * far, 0.5 * far, far)]
 
 
 def _may_be_accepted(evidence: SightViewEvidence, config: DecisionConfig) -> bool:

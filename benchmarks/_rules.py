@@ -41,6 +41,9 @@ VARIANTS: dict[str, Variant] = {
     "svc, no sight lines": Variant(borders={"max_scattered_per_overlap": OPEN, "max_blocked_per_overlap": OPEN}),
     "svc, plain overlap": Variant(plain_overlap=True),
     "svc, opposed surfaces allowed": Variant(borders={"max_opposed_per_overlap": OPEN}),
+    "svc, one plane is enough": Variant(borders={"min_constraint": 1e-4}),
+    "svc, no stricter where surfaces are weak": Variant(borders={"weak_constraint": 0.0}),
+    "svc, no looser where much is clear": Variant(borders={"blocked_factor_where_clear": 1.0}),
     "svc, no doubt by slips": Variant(slips=False),
     "svc, cone 0.4438 deg": Variant(view="cone"),
 }
@@ -66,8 +69,9 @@ def answer_variant(row: Row, config: Config, variant: Variant) -> Answer:
     seen = evidence(row.seen[variant.view])
     decided = decision.decide(seen, borders)
     if decided.verdict is Verdict.ACCEPTED and variant.slips:
-        far_back, back, ahead, far_ahead = map(evidence, row.slips[variant.view])
-        decided = decision.doubt(decided, seen, decision.Doubts([], [far_back, far_ahead], [back, ahead]), borders)
+        slips = [evidence(numbers) for numbers in row.slips[variant.view]]
+        doubts = decision.Doubts([], slips[0::4] + slips[3::4], slips[1::4] + slips[2::4])
+        decided = decision.doubt(decided, seen, doubts, borders)
     return decided.verdict is Verdict.ACCEPTED, decided.probability
 
 
