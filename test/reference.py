@@ -190,6 +190,27 @@ def line_blockers(
     return blocker, observed
 
 
+def free_met(
+    p: np.ndarray, p_normals: np.ndarray, rays: np.ndarray, limits: tuple[float, float, float, float, float]
+) -> np.ndarray:
+    """Mask (F,) of the unit rays that meet one of the points p (M, 3), relative to the observer, as it would see them.
+
+    limits: beam radius, largest half angle, smallest range, range of a surface met head on, smallest cosine.
+    """
+    radius, max_angle, nearest, reach, min_cosine = limits
+    p_range = length(p)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cosine = np.abs((p * p_normals).sum(1)) / p_range
+    seen = (p_range > radius) & (p_range >= nearest) & (p_range <= reach * np.sqrt(cosine)) & (cosine >= min_cosine)
+    cone = np.minimum(radius, p_range * np.sin(max_angle))
+    met = np.zeros(len(rays), bool)
+    for i, ray in enumerate(rays):
+        along = p @ ray
+        offset = length(p - along[:, None] * ray)
+        met[i] = (seen & (along > 0) & (offset <= cone)).any()
+    return met
+
+
 # --- cheap look at many poses ---------------------------------------------------------------------------------
 
 

@@ -25,13 +25,15 @@ class CleanPoints(NamedTuple):
     """Usable points.
 
     points: (M, 3) [m]; keep: (N,) which of the stored points they are; num_nan: stored points with NaN or inf;
-    num_zero: stored points at exactly 0, 0, 0, which is how many drivers write a beam without return.
+    num_zero: stored points at exactly 0, 0, 0, which is how many drivers write a beam without return; out_of_range:
+    (N,) those of num_nan whose coordinates are all +inf: the beam met nothing within range (REP 117).
     """
 
     points: Array
     keep: NDArray[np.bool_]
     num_nan: int
     num_zero: int
+    out_of_range: NDArray[np.bool_]
 
 
 def clean_points(xyz: Sequence[Column]) -> CleanPoints:
@@ -44,7 +46,8 @@ def clean_points(xyz: Sequence[Column]) -> CleanPoints:
     zero = (columns[0] == 0) & (columns[1] == 0) & (columns[2] == 0)
     keep = finite & ~zero
     kept = columns if keep.all() else columns[:, keep]
-    return CleanPoints(np.ascontiguousarray(kept.T), keep, int((~finite).sum()), int(zero.sum()))
+    beyond = ~finite & (columns == np.inf).all(0) if not finite.all() else np.zeros_like(finite)
+    return CleanPoints(np.ascontiguousarray(kept.T), keep, int((~finite).sum()), int(zero.sum()), beyond)
 
 
 def field_index(names: Sequence[str], wanted: str) -> int:

@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from svc_ros.core.errors import InputError, UnsupportedCloudError
 from svc_ros.core.scan import Array, Scan
-from svc_ros.io.cloud_columns import Column, clean_points, field_index
+from svc_ros.io.cloud_columns import CleanPoints, Column, clean_points, field_index
+from svc_ros.io.free_space import free_directions
 from svc_ros.io.point_times import TIME_FIELDS, offsets_from_stamp
 
 _DTYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField
@@ -49,9 +50,10 @@ class CloudField(NamedTuple):
 class CloudReading:
     """A cloud as a scan, and what did not become part of it.
 
-    num_points: points in the message; num_dropped_nan: of those, dropped for a NaN or inf coordinate;
-    num_dropped_zero: dropped for lying at exactly 0, 0, 0; time_field: the field that `scan.point_times_s` was read
-    from, empty where the cloud tells no usable times.
+    num_points: points in the message; num_dropped_nan: of those, dropped for a coordinate that is no number;
+    num_dropped_zero: dropped for lying at exactly 0, 0, 0; num_out_of_range: dropped for lying at +inf, +inf, +inf,
+    where the beam met nothing (`scan.free_directions` tells which way, in an organised cloud); time_field: the field
+    that `scan.point_times_s` was read from, empty where the cloud tells no usable times.
     """
 
     scan: Scan
@@ -61,11 +63,12 @@ class CloudReading:
     height: int
     width: int
     time_field: str = ""
+    num_out_of_range: int = 0
 
     @property
     def nan_ratio(self) -> float:
         """Share of the message's points with a NaN or inf coordinate, in [0, 1]."""
-        return self.num_dropped_nan / self.num_points if self.num_points else 0.0
+        return (self.num_dropped_nan + self.num_out_of_range) / self.num_points if self.num_points else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +124,8 @@ def scan_from_cloud(msg: CloudMessage, *, sensor_origin: ArrayLike | None = None
     sensor_origin: (3,) [m] where the sensor stood in the cloud's frame, the origin if not told. Coordinates of any
     PointField type are taken as metres; rows of an organised cloud follow each other. Points with NaN or inf (whatever
     `is_dense` claims) and points at exactly 0, 0, 0 are dropped together with their times, and counted. A cloud
-    without points is an empty scan. Of the fields t, time, timestamp, offset_time and time_stamp the first that holds
+    without points is an empty scan. In an organised cloud points at +inf, +inf, +inf tell the free directions; NaN and
+    zero tell nothing. Of the fields t, time, timestamp, offset_time and time_stamp the first that holds
     one usable number a point tells the times (see `offsets_from_stamp` for units); others are left alone.
 
     Raises UnsupportedCloudError where layout and bytes contradict each other or x, y, z are not there exactly once.
@@ -135,9 +139,11 @@ def scan_from_cloud(msg: CloudMessage, *, sensor_origin: ArrayLike | None = None
         raise UnsupportedCloudError(f"PointCloud2 in frame '{frame_id}' at {stamp_ns} ns: {error}") from None
     time_field, times = _read_times(grid, clean.keep, stamp_ns)
     origin = np.zeros(3) if sensor_origin is None else np.array(sensor_origin, np.float64)
-    scan = Scan(clean.points, stamp_ns, frame_id, origin, times)
-    num_points = grid.height * grid.width
-    return CloudReading(scan, num_points, clean.num_nan, clean.num_zero, grid.height, grid.width, time_field)
+    scan = Scan(clean.points, stamp_ns, frame_id, origin, times, _read_free(clean, origin, grid))
+    num_points, num_beyond = grid.height * grid.width, int(clean.out_of_range.sum())
+    return CloudReading(
+        scan, num_points, clean.num_nan - num_beyond, clean.num_zero, grid.height, grid.width, time_field, num_beyond
+    )  # fmt: skip
 
 
 def cloud_layout(points: ArrayLike, columns: Mapping[str, ArrayLike] | None = None) -> CloudLayout:
@@ -174,6 +180,14 @@ def _read_times(grid: _Grid, keep: NDArray[np.bool_], stamp_ns: int) -> tuple[st
         if times is not None:
             return field.name, times
     return "", None
+
+
+def _read_free(clean: CleanPoints, origin: Array, grid: _Grid) -> Array | None:
+    if grid.height < 2 or not clean.out_of_range.any():
+        return None
+    relative = np.full((len(clean.keep), 3), np.nan)
+    relative[clean.keep] = clean.points - origin
+    return free_directions(relative, clean.out_of_range, grid.height, grid.width)
 
 
 def _grid_from_message(msg: CloudMessage) -> _Grid:
