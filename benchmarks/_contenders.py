@@ -103,7 +103,7 @@ def kiss_matcher(raw: RawPair) -> Call:
 
 
 def open3d_ransac(raw: RawPair) -> Call:
-    """Open3D's RANSAC on FPFH from Open3D's tensor API, on the voxel grid that svc_ros takes."""
+    """Open3D's RANSAC on the voxel grid and the FPFH that svc_ros takes; all of it counts."""
     from _attempts import run_open3d_ransac
 
     from svc_ros.core.registration import extract_features

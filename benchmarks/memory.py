@@ -31,7 +31,7 @@ from svc_ros.ros.worker import Cloud, Job, PairJob, Worker
 
 SET = "hdl64_kitti_a"
 MIDDLEWARE = "svc_ros.ros.registration_node"  # its libraries are part of what the node needs
-WARM_UP_SHARE, MAX_WARM_UP = 0.2, 100
+WARM_UP_SHARE, MAX_WARM_UP = 0.4, 200  # the allocator takes so long to settle
 
 
 @dataclass(eq=False)

@@ -200,9 +200,9 @@ def test_memory_runs_pairs_through_the_worker_of_the_node(data):
 def test_growth_is_the_slope_after_the_warm_up():
     import memory
 
-    steady = np.concatenate([[100.0], np.linspace(100, 300, 20), 300 + 0.05 * np.arange(80)])
+    steady = np.concatenate([[100.0], np.linspace(100, 300, 40), 300 + 0.05 * np.arange(60)])
     found = memory.fit(steady)
-    assert (found["pairs"], found["warm_up_pairs"]) == (100, 20)
+    assert (found["pairs"], found["warm_up_pairs"]) == (100, 40)
     assert found["slope_mb_per_1000_pairs"] == pytest.approx(50.0)
 
 
