@@ -10,8 +10,9 @@ from unittest.mock import patch
 
 import _common  # noqa: F401  it finds the checkout
 import numpy as np
+from _cliques import generate_clique_hypotheses
 
-from svc_ros.core import shortlist
+from svc_ros.core import registration, shortlist
 from svc_ros.core.config import Config, with_values
 from svc_ros.core.scan import Array, Features
 from svc_ros.pipeline.decide import register_pair
@@ -36,6 +37,8 @@ CHANGES: dict[str, Mapping[str, Any]] = {
     "svc, shortlist by rank": {},
     "svc, no wide search": {"shortlist.rough_poses": 0},
     "svc, a fifth of the seeds": {"hypotheses.seed_ratio": 0.2},
+    "svc, three-point cliques": {},
+    "svc, gravity within 10 deg": {"hypotheses.gravity_aligned": True, "hypotheses.max_tilt_deg": 10.0},
     "svc, FPFH 5 voxels, normals 2": {
         "features.radius_voxels": 5.0, "features.max_neighbours": 100,
         "preprocess.normal_radius_voxels": 2.0, "preprocess.normal_max_neighbours": 30,
@@ -52,6 +55,12 @@ def run_svc_ros(source: Features, target: Features, config: Config) -> Attempt:
 def run_without_prescore(source: Features, target: Features, config: Config) -> Attempt:
     """register() with a shortlist that knows the hypotheses' rank only."""
     with patch.object(shortlist, "prescore", lambda T, *_: np.zeros(len(T))):
+        return run_svc_ros(source, target, config)
+
+
+def run_with_cliques(source: Features, target: Features, config: Config) -> Attempt:
+    """register() with hypotheses from three correspondences each instead of SC2-PCR's sets."""
+    with patch.object(registration, "generate_hypotheses", generate_clique_hypotheses):
         return run_svc_ros(source, target, config)
 
 
@@ -112,6 +121,10 @@ OTHERS: dict[str, Method] = {
     "Open3D FGR": run_open3d_fgr,
     "KISS-Matcher": run_kiss_matcher,
 }
+PATCHED: dict[str, Method] = {
+    "svc, shortlist by rank": run_without_prescore,
+    "svc, three-point cliques": run_with_cliques,
+}
 METHODS = (*CHANGES, *OTHERS)
 
 
@@ -119,10 +132,7 @@ def method_of(name: str, config: Config) -> tuple[Method, Config]:
     """What runs a method, and with which configuration."""
     if name in OTHERS:
         return OTHERS[name], config
-    return (
-        run_without_prescore if name == "svc, shortlist by rank" else run_svc_ros,
-        with_values(config, CHANGES[name]),
-    )
+    return PATCHED.get(name, run_svc_ros), with_values(config, CHANGES[name])
 
 
 def why_not(name: str) -> str | None:

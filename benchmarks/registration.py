@@ -174,6 +174,7 @@ def flat(row: Row) -> dict[str, Any]:
 
 def draw(table: Mapping[str, Mapping[str, Any]], path: Path) -> None:
     """Right candidates by overlap, a group of bars for each bin."""
+    from matplotlib import colormaps
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -188,7 +189,7 @@ def draw(table: Mapping[str, Mapping[str, Any]], path: Path) -> None:
             shares,
             width,
             label=method,
-            color=f"C{k}" if k < 10 else "black",
+            color=colormaps["tab20"](k),
         )
     numbers = [num for _, num in next(iter(table.values()))["by_overlap"].values()]
     axes.set_xticks(range(len(BINS)), [f"{b[0]} ({n} pairs)" for b, n in zip(BINS, numbers, strict=True)])

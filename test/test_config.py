@@ -48,8 +48,8 @@ def test_values_outside_their_range_are_refused(info: FieldInfo):
 
 @pytest.mark.parametrize("info", LEAVES.values(), ids=list(LEAVES))
 def test_values_of_another_type_are_refused(info: FieldInfo):
-    wrong_values = [None, [1], float("nan")] + ([True, "1"] if not isinstance(info.default, str) else [1])
-    for wrong in wrong_values:
+    others = {str: [1, True], bool: [1, 0.0, "true"]}.get(type(info.default), [True, "1"])
+    for wrong in [None, [1], float("nan"), *others]:
         with pytest.raises(ConfigError, match=info.name):
             with_values(Config(), {info.name: wrong})
 
