@@ -35,15 +35,22 @@ class DilatedCells:
         """Mark every cell of `edge_m` within one cell of a point."""
         keys = np.empty(len(scan), np.int64)
         prescore_kernels.fill_keys(scan.points, 1.0 / edge_m, keys)
+        cells, sums, *_ = _sum_by_key(keys, scan.normals)
         steps = np.array([(a << 42) + (b << 21) + c for a in (-1, 0, 1) for b in (-1, 0, 1) for c in (-1, 0, 1)])
-        cells, row = np.unique((keys[:, None] + steps).ravel(), return_inverse=True)
-        repeated = np.repeat(scan.normals, len(steps), axis=0)
-        sums = np.stack([np.bincount(row, repeated[:, a], len(cells)) for a in range(3)], 1)
+        _, sums, table_keys, table_row = _sum_by_key(
+            (cells[:, None] + steps).ravel(), np.repeat(sums, len(steps), axis=0)
+        )
         sums /= np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-9)
-        capacity = 1 << int(2 * len(cells) - 1).bit_length()
-        table_keys, table_row, table_end = (np.empty(capacity, np.int64) for _ in range(3))
-        prescore_kernels.fill_hash(cells, table_keys, table_row, table_end)
         return cls(sums, table_keys, table_row, edge_m)
+
+
+def _sum_by_key(keys: IndexArray, values: Array) -> tuple[IndexArray, Array, IndexArray, IndexArray]:
+    """Distinct keys and the sums (_, 3) of their values, with the hash table from key to row."""
+    capacity = 1 << int(2 * len(keys) - 1).bit_length()
+    table_keys, table_row, found = np.empty(capacity, np.int64), np.empty(capacity, np.int64), np.empty_like(keys)
+    sums = np.empty((len(keys), 3))
+    num = prescore_kernels.sum_by_key(keys, values, table_keys, table_row, found, sums)
+    return found[:num], sums[:num], table_keys, table_row
 
 
 def dilated_cells(scan: PreparedScan, edge_m: float) -> DilatedCells:

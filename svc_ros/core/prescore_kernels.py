@@ -29,26 +29,31 @@ def fill_keys(points, inverse_edge, keys):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def fill_hash(sorted_keys, table_keys, table_start, table_end):  # type: ignore[no-untyped-def]
-    """Open-addressing table from a cell's key to its run in the sorted points; empty slots hold start = -1."""
+def sum_by_key(keys, values, table_keys, table_row, found, sums):  # type: ignore[no-untyped-def]
+    """Give every distinct key a row, in the order in which they come, and add up its values; return how many.
+
+    keys (N,); values (N, 3); table_keys, table_row (a power of two, more than there are distinct keys): open
+    addressing from a key to its row, empty slots hold row = -1; found: the key of every row; sums (_, 3).
+    """
     mask = table_keys.shape[0] - 1
-    table_start[:] = -1
-    i = 0
-    n = sorted_keys.shape[0]
-    while i < n:
-        key = sorted_keys[i]
-        end = i + 1
-        while end < n and sorted_keys[end] == key:
-            end += 1
-        slot = ((key * _HASH_FACTOR) >> 32) & mask
-        while table_start[slot] >= 0:
+    table_row[:] = -1
+    num = 0
+    for i in range(keys.shape[0]):
+        slot = ((keys[i] * _HASH_FACTOR) >> 32) & mask
+        while table_row[slot] >= 0 and table_keys[slot] != keys[i]:
             slot = (slot + 1) & mask
-        table_keys[slot], table_start[slot], table_end[slot] = key, i, end
-        i = end
+        row = table_row[slot]
+        if row < 0:
+            row, num = num, num + 1
+            table_keys[slot], table_row[slot], found[row] = keys[i], row, keys[i]
+            sums[row] = 0.0
+        for a in range(3):
+            sums[row, a] += values[i, a]
+    return num
 
 
 @_jit
-def count_agreeing(T, points, normals, table_keys, table_start, cell_normals, edge, min_cosine, agreeing):  # type: ignore[no-untyped-def]
+def count_agreeing(T, points, normals, table_keys, table_row, cell_normals, edge, min_cosine, agreeing):  # type: ignore[no-untyped-def]
     """agreeing (H,): points that each pose puts into an occupied cell whose normal agrees with the point's own."""
     mask = table_keys.shape[0] - 1
     inverse_edge = 1.0 / edge
@@ -63,14 +68,14 @@ def count_agreeing(T, points, normals, table_keys, table_start, cell_normals, ed
                 inverse_edge,
             )
             slot = ((key * _HASH_FACTOR) >> 32) & mask
-            while table_start[slot] >= 0 and table_keys[slot] != key:
+            while table_row[slot] >= 0 and table_keys[slot] != key:
                 slot = (slot + 1) & mask
-            if table_start[slot] < 0:
+            if table_row[slot] < 0:
                 continue
             cosine = 0.0
             for a in range(3):
                 turned = R[a, 0] * normals[i, 0] + R[a, 1] * normals[i, 1] + R[a, 2] * normals[i, 2]
-                cosine += turned * cell_normals[table_start[slot], a]
+                cosine += turned * cell_normals[table_row[slot], a]
             if cosine > min_cosine:
                 count += 1
         agreeing[h] = count
