@@ -82,7 +82,7 @@ def test_processors_and_the_order_of_queries_change_nothing(monkeypatch, num_pro
     a, b = clustered_rows(800), clustered_rows(900)
     expected = DescriptorTree.build(b).find(a, with_second=True)
     monkeypatch.setattr(parallel, "num_processors", lambda: num_processors)
-    monkeypatch.setattr(descriptor_tree, "_PART", part)
+    monkeypatch.setattr(parallel, "_PART", part)
     order = RNG.permutation(len(a))
     found = DescriptorTree.build(b).find(a[order], with_second=True)
     np.testing.assert_array_equal(found.index, expected.index[order])

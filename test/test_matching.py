@@ -87,3 +87,18 @@ def test_exchanged_scans_have_the_same_mutual_matches():
     source, target = described(unit_rows(400)), described(unit_rows(300))
     there, back = matching.match(source, target, CONFIG), matching.match(target, source, CONFIG)
     assert sorted(pairs_of(there, source, target)) == sorted((i, j) for j, i in pairs_of(back, target, source))
+
+
+def test_a_crowd_of_equal_descriptors_matches_nothing_but_the_rest_does():
+    crowd, rows = np.repeat(unit_rows(1), 50, 0), unit_rows(60)
+    source, target = described(np.concatenate([crowd, rows])), described(np.concatenate([rows, crowd]))
+    assert pairs_of(matching.match(source, target, CONFIG), source, target) == [(50 + i, i) for i in range(60)]
+    assert len(matching.match(source, source, CONFIG)) == 60
+
+
+def test_equal_to_one_row_only_is_no_crowd():
+    source, target = described(unit_rows(1)), described(np.repeat(unit_rows(1), 2, 0))
+    twin = described(np.repeat(source.descriptors, 2, 0))
+    assert len(matching.match(source, twin, CONFIG)) == 1
+    assert len(matching.match(twin, source, CONFIG)) == 1
+    assert len(matching.match(source, target, CONFIG)) == 1

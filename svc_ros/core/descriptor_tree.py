@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svc_ros.core.descriptor_kernels import HEAD, LANES, find_nearest
-from svc_ros.core.parallel import on_all_processors
+from svc_ros.core.parallel import in_parts, on_all_processors
 from svc_ros.core.scan import IndexArray
 
 Descriptors = NDArray[np.float32]
@@ -21,7 +21,7 @@ Boxes = tuple[Descriptors, Descriptors]
 _SAMPLE = 512  # rows that show the directions as well as all of them
 _FIRST_CUT = 8  # blocks are cut off along the first direction in up to so many slabs, then in halves
 _NOWHERE = 1e9  # where boxes stand that fill up the last group of them, farther than any distance asked for
-_PART, _NO_PART = 1024, slice(0, 0)  # queries a thread takes at a time
+_NO_PART = slice(0, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ class DescriptorTree:
                 index[part], first[part], second[part if with_second else _NO_PART],
             )  # fmt: skip
 
-        on_all_processors(find_part, [slice(start, start + _PART) for start in range(0, num, _PART)])
+        on_all_processors(find_part, in_parts(num))
         return NearestRows(index, first, second if with_second else None)
 
 

@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from svc_ros.core.config import MatchingConfig
 from svc_ros.core.descriptor_tree import Descriptors, DescriptorTree, NearestRows
 from svc_ros.core.scan import Array, Correspondences, Features, IndexArray
 
+_SAME_SQ_DISTANCE = 1e-7  # of unit rows of float32: rounding alone can make it
+
 
 def match(source: Features, target: Features, config: MatchingConfig) -> Correspondences:
     """Match every source descriptor to its nearest target descriptor.
 
-    one_way keeps them all; mutual keeps those that are nearest in both directions; ratio keeps the mutual ones and
-    ranks them by nearest over second nearest distance. The best `max_correspondences` are returned, in source order.
+    one_way keeps them all; mutual keeps those that are nearest in both directions, unless others are just as near;
+    ratio keeps the mutual ones and ranks them by nearest over second nearest distance. The best
+    `max_correspondences` are returned, in source order.
     """
     source_idx, target_idx = find_described(source), find_described(target)
     if len(source_idx) == 0 or len(target_idx) == 0:
         return Correspondences.from_points(np.zeros((0, 3)), np.zeros((0, 3)))
-    queries, references = source.descriptors[source_idx], target.descriptors[target_idx]
-    nearest = descriptor_tree(target).find(queries, with_second=config.strategy == "ratio")
-    one_way = config.strategy == "one_way"
-    keep = np.arange(len(queries)) if one_way else find_mutual(nearest, references, descriptor_tree(source))
+    a, b = source.descriptors[source_idx], target.descriptors[target_idx]
+    tree_a, tree_b = descriptor_tree(source), descriptor_tree(target)
+    nearest = tree_b.find(a, with_second=config.strategy == "ratio")
+    keep = np.arange(len(a))
+    if config.strategy != "one_way":
+        keep = find_mutual(nearest, b, tree_a)
+        keep = keep[~find_interchangeable(a[keep], b[nearest.index[keep]], tree_a, tree_b)]
     rank_by = _distance(nearest.sq_distance)
     if nearest.sq_second is not None:
         rank_by = _ratio(rank_by, _distance(nearest.sq_second))
@@ -43,6 +50,21 @@ def find_mutual(nearest: NearestRows, references: Descriptors, queries: Descript
     back = np.full(len(references), -1)
     back[found] = queries.find(references[found], within[found]).index
     return np.flatnonzero(back[nearest.index] == np.arange(len(nearest.index)))
+
+
+def find_interchangeable(
+    a: Descriptors, b: Descriptors, tree_a: DescriptorTree, tree_b: DescriptorTree
+) -> NDArray[np.bool_]:
+    """Which matches of rows a (M, D) and b (M, D) are two of a crowd: equal, each, to a second row of the other side.
+
+    Flat ground has thousands of such points; that two of them are mutual nearest is rounding.
+    """
+    crowded = np.square(a - b).sum(1) < _SAME_SQ_DISTANCE
+    for rows, tree in ((a, tree_b), (b, tree_a)):
+        second = tree.find(rows[crowded], with_second=True).sq_second
+        if second is not None:
+            crowded[crowded] = second < _SAME_SQ_DISTANCE
+    return np.asarray(crowded)
 
 
 def find_described(features: Features) -> IndexArray:

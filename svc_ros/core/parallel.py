@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
+_PART = 1024
+
 Part = TypeVar("Part")
 Done = TypeVar("Done")
 
@@ -22,6 +24,11 @@ def on_all_processors(work: Callable[[Part], Done], parts: Iterable[Part]) -> li
         return [work(part) for part in parts]
     with ThreadPoolExecutor(num_threads) as threads:
         return list(threads.map(work, parts))
+
+
+def in_parts(num: int) -> list[slice]:
+    """0..num-1 in parts of a thousand, so that no processor waits long for the others. The last may be shorter."""
+    return [slice(start, min(start + _PART, num)) for start in range(0, num, _PART)]
 
 
 def num_processors() -> int:
