@@ -1,0 +1,174 @@
+"""Loops: earlier places that the sensor has come back to, each proposed cheaply and judged along sight lines.
+
+Candidates come by odometry (where it says that the sensor stood near an earlier keyframe), by the look of the place
+(where odometry has drifted, or where there is none), or from outside. Each is judged in the same way: a pose that
+comes with it is verified, and if that is not accepted the two scans are registered globally.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from svc_ros.core import se3
+from svc_ros.core.config import Config
+from svc_ros.core.errors import ConfigError, MissingDependencyError
+from svc_ros.core.registration import prepare, verify
+from svc_ros.core.result import Reason, RegistrationResult
+from svc_ros.core.scan import Array, Scan
+from svc_ros.io.trajectories import Trajectory
+from svc_ros.pipeline.decide import refused, register_pair
+from svc_ros.pipeline.keyframes import Keyframe, KeyframeStore
+from svc_ros.pipeline.place import compare_places
+from svc_ros.pipeline.stream import StampOrder, StreamDecision, demand, drop_scan, refuse_scan
+
+
+@dataclass(frozen=True, eq=False)
+class LoopCandidate:
+    """An earlier keyframe that may show the same place. T_target_source: (4, 4), a guess, None where there is none."""
+
+    target: Keyframe
+    T_target_source: Array | None
+    origin: str
+
+
+class LoopCloser:
+    """Keeps keyframes of one sensor and looks for loops among them; for one thread at a time."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._order = StampOrder()
+        self._keyframes = KeyframeStore(config.loop_closure.max_keyframes)
+        self._poses: dict[int, Array] = {}  # of every keyframe so far by stamp, those that were given up too
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self._order.clear()
+        self._keyframes.clear()
+        self._poses.clear()
+
+    @property
+    def config(self) -> Config:
+        """What it was made with."""
+        return self._config
+
+    @property
+    def keyframe_poses(self) -> Trajectory:
+        """Odometry poses of all keyframes since the last reset, also of those that are no longer kept."""
+        poses = np.array(list(self._poses.values())).reshape(-1, 4, 4)
+        return Trajectory(np.array(list(self._poses), np.int64), poses)
+
+    @property
+    def num_keyframes(self) -> int:
+        """Keyframes that are kept now."""
+        return len(self._keyframes)
+
+    def add(self, scan: Scan, T_odom_scan: ArrayLike | None = None) -> list[StreamDecision]:
+        """Take the next scan; returns one decision for each loop that was judged, and none for most scans.
+
+        T_odom_scan: (4, 4), where odometry says that the scan's frame stands; None where it says nothing. A scan that
+        cannot be used is one decision that says why. Raises ConfigError and MissingDependencyError only.
+        """
+        if self._order.is_jump(scan.stamp_ns):
+            self.reset()
+        late = self._order.lateness(scan.stamp_ns)
+        if late:
+            return [drop_scan(scan.stamp_ns, scan.frame_id, Reason.STALE, late)]
+        try:
+            return self._close(scan, None if T_odom_scan is None else se3.check_pose(T_odom_scan, "T_odom_scan"))
+        except (ConfigError, MissingDependencyError):
+            raise
+        except Exception as error:
+            return [refuse_scan(scan.stamp_ns, scan.frame_id, error, self._config)]
+
+    def _close(self, scan: Scan, T_odom_scan: Array | None) -> list[StreamDecision]:
+        # Only a scan that shows something new becomes a keyframe.
+        if not self._is_new(T_odom_scan):
+            return []
+        this = Keyframe(prepare(scan, self._config), T_odom_scan, self._config)
+        # Where odometry leads to a loop it can be trusted; where it does not, the look of the place is asked.
+        near = self._near(this)
+        decisions = [self._judge(this, candidate) for candidate in near]
+        if not any(decision.result.accepted for decision in decisions):
+            known = [candidate.target for candidate in near]
+            decisions += [self._judge(this, candidate) for candidate in self._similar(this, known)]
+        this.forget_searches()
+        self._keyframes.add(this)
+        if T_odom_scan is not None:
+            self._poses[scan.stamp_ns] = T_odom_scan
+        return decisions
+
+    def _is_new(self, T_odom_scan: Array | None) -> bool:
+        """True if the sensor has moved far enough from the last keyframe, or if nobody knows."""
+        last = next(reversed(self._keyframes), None)
+        if last is None or T_odom_scan is None or last.T_odom_scan is None:
+            return True
+        angle, distance = se3.pose_error(T_odom_scan, last.T_odom_scan)
+        limits = self._config.loop_closure
+        return distance >= limits.keyframe_distance_m or angle >= limits.keyframe_rotation_deg
+
+    def _old_enough(self, this: Keyframe) -> list[Keyframe]:
+        gap_ns = round(1e9 * self._config.loop_closure.min_gap_s)
+        return [k for k in self._keyframes if this.scan.stamp_ns - k.scan.stamp_ns >= gap_ns]
+
+    def _near(self, this: Keyframe) -> list[LoopCandidate]:
+        """The nearest old keyframes by odometry."""
+        limits = self._config.loop_closure
+        found: list[tuple[float, LoopCandidate]] = []
+        for keyframe in self._old_enough(this):
+            if this.T_odom_scan is None or keyframe.T_odom_scan is None:
+                continue
+            T = se3.invert(keyframe.T_odom_scan) @ this.T_odom_scan
+            distance = float(np.linalg.norm(T[:3, 3]))
+            if distance <= limits.max_distance_m:
+                found.append((distance, LoopCandidate(keyframe, T, "odometry")))
+        found.sort(key=lambda pair: pair[0])
+        return [candidate for _, candidate in found[: limits.max_near]]
+
+    def _similar(self, this: Keyframe, known: list[Keyframe]) -> list[LoopCandidate]:
+        """The old keyframes whose places look most like this one, without those that are candidates already."""
+        limits = self._config.loop_closure
+        if limits.max_similar == 0:
+            return []
+        found = [(compare_places(this.look, k.look)[0], k) for k in self._old_enough(this) if k not in known]
+        found = sorted((pair for pair in found if pair[0] >= limits.min_similarity), key=lambda pair: -pair[0])
+        return [LoopCandidate(keyframe, None, "place") for _, keyframe in found[: limits.max_similar]]
+
+    def _judge(self, this: Keyframe, candidate: LoopCandidate) -> StreamDecision:
+        result = judge_candidate(this, candidate.target, candidate.T_target_source, self._config)
+        candidate.target.forget_searches()
+        source, target = this.scan, candidate.target.scan
+        return StreamDecision(
+            result, source.stamp_ns, target.stamp_ns, source.frame_id, target.frame_id, this.T_odom_scan,
+            candidate.origin,
+        )  # fmt: skip
+
+
+def judge_candidate(
+    source: Keyframe, target: Keyframe, T_target_source: ArrayLike | None, config: Config
+) -> RegistrationResult:
+    """Judge one candidate for a loop: its guess (4, 4) first, if it has one, then whatever registration finds.
+
+    Of two answers that are not accepted the one of the registration counts.
+    """
+    wanted = config.loop_closure.min_probability
+    if T_target_source is not None:
+        verified = demand(verify(source.scan, target.scan, T_target_source, config), wanted)
+        if verified.accepted:
+            return verified
+    return demand(register_pair(source.features, target.features, config), wanted)
+
+
+def judge_scans(
+    source: Scan, target: Scan, T_target_source: ArrayLike | None, config: Config
+) -> RegistrationResult:
+    """Judge a candidate that somebody else proposes; a scan or a guess that cannot be used is a rejection."""
+    try:
+        pair = [Keyframe(prepare(scan, config), None, config) for scan in (source, target)]
+        return judge_candidate(pair[0], pair[1], T_target_source, config)
+    except (ConfigError, MissingDependencyError):
+        raise
+    except Exception as error:
+        return refused(error, config)

@@ -1,0 +1,181 @@
+"""Where the sensor is, scan by scan: motion by KISS-ICP, judged along sight lines, recovered by global registration.
+
+Every scan gets one decision. A pose is told only if it was accepted against a scan that was accepted before, so that
+a chain of judged poses leads back to the first scan, whose frame is the odometry frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from svc_ros.core import se3
+from svc_ros.core.config import Config
+from svc_ros.core.errors import ConfigError, InputError, MissingDependencyError
+from svc_ros.core.prescore import thinned_scan
+from svc_ros.core.registration import prepare, verify
+from svc_ros.core.result import Reason, RegistrationResult, Verdict
+from svc_ros.core.scan import PreparedScan, Scan
+from svc_ros.pipeline.decide import register_pair
+from svc_ros.pipeline.keyframes import Keyframe, KeyframeStore
+from svc_ros.pipeline.motion import KissMotion, Motion
+from svc_ros.pipeline.place import compare_places
+from svc_ros.pipeline.stream import StampOrder, StreamDecision, demand, drop_scan, refuse_scan
+
+
+@dataclass(frozen=True, eq=False)
+class _Attempt:
+    """One judged pose of the current scan."""
+
+    result: RegistrationResult
+    target: Keyframe
+    origin: str
+
+
+class ScanMatcher:
+    """Follows one sensor; not safe for use from several threads at once.
+
+    The first scan that can be used is the origin. Raises MissingDependencyError where kiss-icp is not installed.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._order = StampOrder()
+        self._keyframes = KeyframeStore(config.scan_matching.max_keyframes)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything; the next scan is the origin again."""
+        self._order.clear()
+        self._keyframes.clear()
+        self._motion = KissMotion(self._config)
+        self._current: Keyframe | None = None  # what scans are judged against
+        self._last: Keyframe | None = None  # the last scan that was accepted
+
+    @property
+    def num_keyframes(self) -> int:
+        """Keyframes that are kept now."""
+        return len(self._keyframes)
+
+    def add(self, scan: Scan) -> list[StreamDecision]:
+        """Take the next scan and return its one decision; a scan that cannot be used changes nothing.
+
+        Raises ConfigError and MissingDependencyError only. A stamp far back in time starts everything anew, a smaller
+        step back is `dropped` as stale.
+        """
+        if self._order.is_jump(scan.stamp_ns):
+            self.reset()
+        late = self._order.lateness(scan.stamp_ns)
+        if late:
+            return [drop_scan(scan.stamp_ns, scan.frame_id, Reason.STALE, late)]
+        try:
+            return [self._decide(scan)]
+        except (ConfigError, MissingDependencyError):
+            raise
+        except Exception as error:
+            return [refuse_scan(scan.stamp_ns, scan.frame_id, error, self._config)]
+
+    def _decide(self, scan: Scan) -> StreamDecision:
+        current = self._current
+        if current is not None and scan.frame_id != current.scan.frame_id:
+            raise InputError(f"expected a scan in frame {current.scan.frame_id!r}, found {scan.frame_id!r}")
+        # Where the sensor may be, and the scan without its own motion.
+        motion = self._motion.estimate(scan)
+        this = Keyframe(prepare(motion.scan, self._config), None, self._config)
+        if current is None:
+            return self._begin(motion, this)
+        # The first pose that is accepted counts; what is tried later costs more.
+        attempts: list[_Attempt] = []
+        for attempt in self._attempts(motion, this, current):
+            attempts.append(attempt)
+            if attempt.result.accepted:
+                return self._accept(motion, this, attempt)
+        best = max(attempts, key=_closeness_to_acceptance)
+        return _decision(this, best)
+
+    def _attempts(self, motion: Motion, this: Keyframe, current: Keyframe) -> Iterator[_Attempt]:
+        """Poses of the scan, judged one after the other, cheapest first."""
+        targets = [current] if self._last is current or self._last is None else [current, self._last]
+        for target in targets:
+            yield self._verified(motion, this, target, "motion")
+        turned = self._turned(motion, this)
+        for target in targets:
+            yield self._verified(turned, this, target, "turn")
+        for target in self._recovery_targets(this):
+            result = register_pair(this.features, target.features, self._config)
+            yield _Attempt(demand(result, self._config.scan_matching.min_probability), target, "registration")
+
+    def _verified(self, motion: Motion, this: Keyframe, target: Keyframe, origin: str) -> _Attempt:
+        T_target_source = se3.invert(_pose(target)) @ motion.T_odom_scan
+        num = self._config.scan_matching.verify_points
+        result = verify(_thinned(this.scan, num), _thinned(target.scan, num), T_target_source, self._config)
+        return _Attempt(demand(result, self._config.scan_matching.min_probability), target, origin)
+
+    def _turned(self, motion: Motion, this: Keyframe) -> Motion:
+        """The motion from where the last accepted scan stood, turned as the looks of both places say."""
+        assert self._last is not None
+        _, T_last_this = compare_places(this.look, self._last.look)
+        return self._motion.estimate_again(motion, _pose(self._last) @ T_last_this)
+
+    def _recovery_targets(self, this: Keyframe) -> list[Keyframe]:
+        """The last accepted scan, and of the keyframes those whose places look most like this one."""
+        assert self._last is not None
+        others = [keyframe for keyframe in reversed(self._keyframes) if keyframe is not self._last]
+        likeness = [-compare_places(this.look, keyframe.look)[0] for keyframe in others]
+        chosen = [self._last] + [others[i] for i in np.argsort(likeness, kind="stable")]
+        return chosen[: self._config.scan_matching.recovery_attempts]
+
+    def _begin(self, motion: Motion, this: Keyframe) -> StreamDecision:
+        """The first scan stands where odometry begins, by definition."""
+        origin = np.eye(4)
+        floor = self._config.covariance
+        variances = [floor.floor_translation_m**2] * 3 + [np.radians(floor.floor_rotation_deg) ** 2] * 3
+        result = RegistrationResult(
+            Verdict.ACCEPTED, Reason.OK, self._config.method, origin, origin, np.diag(variances), 1.0,
+            detail="the first scan: odometry begins here",
+        )  # fmt: skip
+        return self._accept(motion, this, _Attempt(result, Keyframe(this.scan, origin, self._config), "start"))
+
+    def _accept(self, motion: Motion, this: Keyframe, attempt: _Attempt) -> StreamDecision:
+        """Go on from the judged pose."""
+        assert attempt.result.T_target_source is not None
+        this.T_odom_scan = se3.nearest_pose(_pose(attempt.target) @ attempt.result.T_target_source)
+        self._motion.keep(motion, this.T_odom_scan, attempt.origin == "motion")
+        self._last = this
+        self._current = attempt.target
+        if attempt.origin == "start" or self._is_far(attempt):
+            self._current = this
+            self._keyframes.add(this)
+        return _decision(this, attempt)
+
+    def _is_far(self, attempt: _Attempt) -> bool:
+        """True if the accepted scan should be the next keyframe."""
+        limits, result = self._config.scan_matching, attempt.result
+        assert result.T_target_source is not None
+        assert result.evidence is not None
+        distance = float(np.linalg.norm(result.T_target_source[:3, 3]))
+        return result.evidence.oriented_overlap_ratio < limits.keyframe_overlap or distance > limits.keyframe_distance_m
+
+
+def _closeness_to_acceptance(attempt: _Attempt) -> tuple[bool, float]:
+    return attempt.result.verdict is Verdict.UNDECIDED, attempt.result.probability or 0.0
+
+
+def _pose(keyframe: Keyframe) -> se3.Array:
+    assert keyframe.T_odom_scan is not None
+    return keyframe.T_odom_scan
+
+
+def _thinned(scan: PreparedScan, num_points: int) -> PreparedScan:
+    """The scan itself where thinning it would leave fewer than the wanted points."""
+    return scan if len(scan) < 2 * num_points else thinned_scan(scan, num_points)
+
+
+def _decision(this: Keyframe, attempt: _Attempt) -> StreamDecision:
+    source, target = this.scan, attempt.target.scan
+    return StreamDecision(
+        attempt.result, source.stamp_ns, target.stamp_ns, source.frame_id, target.frame_id,
+        this.T_odom_scan if attempt.result.accepted else None, attempt.origin,
+    )  # fmt: skip
