@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
+import pytest
+import reference_surfaces
 from assertions import assert_same_bits
 from mini_data import POSES, scan_room
 
-from svc_ros.core.config import preset, with_values
+from svc_ros.core import parallel
+from svc_ros.core.config import Config, preset, with_values
 from svc_ros.core.features import compute_features
 from svc_ros.core.preprocess import preprocess
 from svc_ros.core.scan import PreparedScan, Scan
@@ -52,3 +57,47 @@ def test_a_point_without_neighbours_is_described_by_zeros():
     descriptors = compute_features(PreparedScan(points, normals, np.zeros(3), 0.2), CONFIG).descriptors
     assert not descriptors[-1].any()
     assert descriptors[:-1].any(1).all()
+
+
+def with_neighbours(most: int) -> Config:
+    return with_values(CONFIG, {"features.max_neighbours": most})
+
+
+@pytest.mark.parametrize("most", [5, 40, 400])
+def test_rows_are_those_of_the_definition(most):
+    """A pair that stands on the border of two bins may fall into either, in float32 as in float64."""
+    near = np.linalg.norm(PREPARED.points - PREPARED.points[200], axis=1) < 2.5
+    part = dataclasses.replace(PREPARED, points=PREPARED.points[near], normals=PREPARED.normals[near], memo={})
+    expected = reference_surfaces.fpfh(part.points, part.normals, CONFIG.feature_radius_m, most)
+    found = compute_features(part, with_neighbours(most)).descriptors
+    difference = np.linalg.norm(found - expected, axis=1)
+    assert len(part) > 200
+    assert np.median(difference) < 1e-3
+    assert np.quantile(difference, 0.98) < 0.05
+
+
+@pytest.mark.parametrize("most", [30, 100, 400])
+def test_rows_are_those_of_open3d(most):
+    o3d = pytest.importorskip("open3d")
+    cloud = o3d.t.geometry.PointCloud(o3d.core.Tensor.from_numpy(PREPARED.points.copy()))
+    cloud.point.normals = o3d.core.Tensor.from_numpy(PREPARED.normals.copy())
+    rows = o3d.t.pipelines.registration.compute_fpfh_feature(cloud, max_nn=most, radius=CONFIG.feature_radius_m).numpy()
+    expected = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+    difference = np.linalg.norm(compute_features(PREPARED, with_neighbours(most)).descriptors - expected, axis=1)
+    assert np.median(difference) < 1e-3
+    assert np.quantile(difference, 0.98) < 0.05
+
+
+def test_processors_change_nothing(monkeypatch):
+    expected = compute_features(PREPARED, CONFIG).descriptors
+    monkeypatch.setattr(parallel, "num_processors", lambda: 1)
+    monkeypatch.setattr(parallel, "_PART", 100)
+    assert_same_bits(compute_features(PREPARED, CONFIG).descriptors, expected)
+
+
+def test_many_points_at_one_place_are_described():
+    points = np.concatenate([np.repeat(PREPARED.points[:1], 300, 0), PREPARED.points])
+    normals = np.concatenate([np.repeat(PREPARED.normals[:1], 300, 0), PREPARED.normals])
+    descriptors = compute_features(PreparedScan(points, normals, np.zeros(3), 0.2), with_neighbours(50)).descriptors
+    assert np.isfinite(descriptors).all()
+    np.testing.assert_allclose(np.linalg.norm(descriptors, axis=1), 1, atol=1e-5)

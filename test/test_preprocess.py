@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import reference_surfaces
 from assertions import assert_same_bits
 from mini_data import POSES, scan_room
 
@@ -72,6 +73,13 @@ def test_thinning_equals_a_dictionary_of_cells(voxel):
     np.testing.assert_allclose(found, expected[np.lexsort(expected.T)], atol=1e-8)
 
 
+def test_points_at_one_height_are_sorted_all_the_same():
+    floor = np.column_stack([RNG.uniform(-5, 5, (500, 2)), np.zeros(500)])
+    thinned = stage.thin_on_voxel_grid(floor, 0.3)
+    np.testing.assert_array_equal(thinned, thinned[np.lexsort(thinned.T)])
+    assert_same_bits(stage.thin_on_voxel_grid(RNG.permutation(floor), 0.3), thinned)
+
+
 def test_nothing_in_nothing_out():
     assert stage.thin_on_voxel_grid(np.zeros((0, 3)), 0.3).shape == (0, 3)
 
@@ -86,6 +94,35 @@ def test_normals_are_unit_and_face_the_sensor(origin):
     prepared = stage.preprocess(Scan(ROOM, sensor_origin=origin), CONFIG)
     np.testing.assert_allclose(np.linalg.norm(prepared.normals, axis=1), 1, atol=1e-9)
     assert ((prepared.normals * (origin - prepared.points)).sum(1) >= 0).all()
+
+
+@pytest.mark.parametrize("most", [4, 30])
+def test_normals_are_those_of_all_neighbours_by_brute_force(most):
+    config = dataclasses.replace(CONFIG, normal_max_neighbours=most, normal_radius_voxels=3.0)
+    points = stage.thin_on_voxel_grid(ROOM[::7], 0.2) + RNG.normal(size=3)
+    expected = reference_surfaces.fitted_normals(points, config.normal_radius_m, most)
+    found = stage.estimate_normals(points, np.zeros(3), config)
+    known = np.isfinite(expected[:, 0])
+    assert known.sum() > 500
+    np.testing.assert_allclose(np.abs((found * expected).sum(1))[known], 1, atol=1e-9)
+    facing = -points / np.linalg.norm(points, axis=1, keepdims=True)
+    np.testing.assert_allclose(found[~known], facing[~known], atol=1e-12)
+
+
+def test_normals_equal_those_of_open3d():
+    o3d = pytest.importorskip("open3d")
+    points = stage.thin_on_voxel_grid(ROOM, 0.2)
+    cloud = o3d.t.geometry.PointCloud(o3d.core.Tensor.from_numpy(points.copy()))
+    cloud.estimate_normals(max_nn=CONFIG.normal_max_neighbours, radius=CONFIG.normal_radius_m)
+    cosine = np.abs((cloud.point.normals.numpy() * stage.estimate_normals(points, np.zeros(3), CONFIG)).sum(1))
+    assert np.quantile(cosine, 0.01) > 1 - 1e-9  # the rest: too few neighbours, no plane
+
+
+def test_points_in_a_line_get_a_normal_across_it():
+    along = np.array([1.0, 2.0, -0.5]) / np.linalg.norm([1.0, 2.0, -0.5])
+    normals = stage.estimate_normals(np.arange(1, 60)[:, None] * 0.1 * along + (0, 5, 0), np.zeros(3), CONFIG)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-9)
+    np.testing.assert_allclose(normals @ along, 0, atol=1e-6)
 
 
 def test_normals_of_a_room_are_those_of_its_walls():
@@ -126,11 +163,14 @@ def test_beam_spacing_is_that_of_the_sensor(num_beams, spacing):
     rays, beams = (a.ravel() for a in np.meshgrid(np.radians(np.arange(0, 360, 0.2)), np.radians(elevation)))
     directions = np.column_stack([np.cos(beams) * np.cos(rays), np.cos(beams) * np.sin(rays), np.sin(beams)])
     points = directions * RNG.uniform(2, 20, (len(directions), 1))
-    assert stage.estimate_beam_spacing_deg(points) == pytest.approx(spacing, rel=0.02)
-    assert stage.estimate_beam_spacing_deg(RNG.permutation(points)) == stage.estimate_beam_spacing_deg(points)
+    for origin in (np.zeros(3), np.array([4.0, -2.0, 1.0])):
+        found = stage.estimate_beam_spacing_deg(points + origin, origin)
+        assert found == pytest.approx(spacing, rel=0.02)
+        assert stage.estimate_beam_spacing_deg(RNG.permutation(points) + origin, origin) == found
 
 
 def test_one_ring_has_no_beam_spacing():
     azimuth = np.radians(np.arange(0, 360, 0.2))
     ring = np.column_stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth])
-    assert stage.estimate_beam_spacing_deg(ring) == stage.estimate_beam_spacing_deg(np.zeros((0, 3))) == 0.0
+    assert stage.estimate_beam_spacing_deg(ring, np.zeros(3)) == 0.0
+    assert stage.estimate_beam_spacing_deg(np.zeros((0, 3)), np.zeros(3)) == 0.0

@@ -21,19 +21,20 @@ _BIT_OF[[2**bit % 37 for bit in range(36)]] = np.arange(36)
 
 
 @_jit
-def find_nearest(queries, query_heads, within, tree, index, first, second):  # type: ignore[no-untyped-def]
+def find_nearest(queries, within, tree, index, first, second):  # type: ignore[no-untyped-def]
     """The nearest row of a tree for each of Q queries, of equally near ones the first, whatever the tree's shape.
 
-    queries (Q, D); query_heads (Q, HEAD); within (Q,): squared distance that the nearest does not exceed, negative
-    where unknown; tree: rows (B, LANES, D) of its blocks, their indices (B, LANES) and heads (B, HEAD, LANES), low and
+    queries (Q, D); within (Q,): squared distance that the nearest does not exceed, negative where unknown; tree:
+    directions (D, HEAD), rows (B, LANES, D) of its blocks, their indices (B, LANES) and heads (B, HEAD, LANES), low and
     high (B / LANES, HEAD, LANES) of the boxes around blocks, low and high (G, HEAD, LANES) of those around LANES boxes.
     Fills index (Q,), first (Q,) squared distance and, unless empty, second (Q,), that of the second nearest, for which
     `within` must be unknown.
     """
-    rows, order, heads, low, high, outer_low, outer_high = tree
-    with_second = len(second) > 0
+    directions, rows, order, heads, low, high, outer_low, outer_high = tree
+    with_second, head = len(second) > 0, np.empty(HEAD, np.float32)
     for i in range(len(queries)):
-        query, head = queries[i], query_heads[i]
+        query = queries[i]
+        _project(query, directions, head)
         limit = within[i] if within[i] >= 0 else _guess(query, head, tree, with_second)
         bound, best, next_best, nearest = _widen(limit), _FAR, _FAR, -1
         for outer in range(len(outer_low)):
@@ -61,9 +62,65 @@ def find_nearest(queries, query_heads, within, tree, index, first, second):  # t
 
 
 @_jit
+def find_directions(sample, rounds, directions):  # type: ignore[no-untyped-def]
+    """Turn directions (HEAD, D) towards those along which a centred sample (S, D) spreads most; all float64.
+
+    Orthogonal iteration: they end orthonormal, or zero where the sample has no more directions.
+    """
+    turned, along = np.empty_like(directions), np.empty(HEAD)
+    for _ in range(rounds):
+        turned[:] = 0.0
+        for row in sample:
+            for b in range(HEAD):
+                along[b] = _inner(row, directions[b])
+            for b in range(HEAD):
+                for k in range(len(row)):
+                    turned[b, k] += along[b] * row[k]
+        directions[:] = turned
+        _make_orthonormal(directions)
+
+
+@_jit
+def _make_orthonormal(vectors):  # type: ignore[no-untyped-def]
+    for b in range(len(vectors)):
+        vector, before = vectors[b], np.sqrt(_inner(vectors[b], vectors[b]))
+        for _ in range(2):  # twice: the first time leaves rounding
+            for earlier in range(b):
+                vector -= _inner(vector, vectors[earlier]) * vectors[earlier]
+        length = np.sqrt(_inner(vector, vector))
+        if length > 1e-9 * before:
+            vector /= length
+        else:
+            vector[:] = 0.0
+
+
+@_jit
+def _inner(a, b):  # type: ignore[no-untyped-def]
+    total = 0.0
+    for k in range(len(a)):
+        total += a[k] * b[k]
+    return total
+
+
+@_jit
+def fill_heads(rows, directions, heads):  # type: ignore[no-untyped-def]
+    """heads (N, HEAD) of rows (N, D) along directions (D, HEAD)."""
+    for i in range(len(rows)):
+        _project(rows[i], directions, heads[i])
+
+
+@_jit
+def _project(row, directions, head):  # type: ignore[no-untyped-def]
+    head[:] = _ZERO
+    for k in range(len(row)):
+        for b in range(HEAD):
+            head[b] += row[k] * directions[k, b]
+
+
+@_jit
 def _guess(query, head, tree, with_second):  # type: ignore[no-untyped-def]
     """Squared distance to the nearest (or second nearest) row of the block whose box is nearest."""
-    rows, order, _, low, high, outer_low, outer_high = tree
+    _, rows, order, _, low, high, outer_low, outer_high = tree
     box, least = 0, _FAR
     for outer in range(len(outer_low)):
         lane, distance = _nearest_box(head, outer_low[outer], outer_high[outer])

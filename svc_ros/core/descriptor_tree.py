@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from svc_ros.core.descriptor_kernels import HEAD, LANES, find_nearest
+from svc_ros.core import descriptor_kernels
+from svc_ros.core.descriptor_kernels import HEAD, LANES
 from svc_ros.core.parallel import in_parts, on_all_processors
 from svc_ros.core.scan import IndexArray
 
@@ -19,6 +20,7 @@ Descriptors = NDArray[np.float32]
 Boxes = tuple[Descriptors, Descriptors]
 
 _SAMPLE = 512  # rows that show the directions as well as all of them
+_ROUNDS = 8  # of the search for the directions
 _FIRST_CUT = 8  # blocks are cut off along the first direction in up to so many slabs, then in halves
 _NOWHERE = 1e9  # where boxes stand that fill up the last group of them, farther than any distance asked for
 _NO_PART = slice(0, 0)
@@ -56,7 +58,8 @@ class DescriptorTree:
     def build(cls, rows: Descriptors) -> DescriptorTree:
         """Sort at least one row (R, D)."""
         directions = find_directions(rows)
-        heads = rows @ directions
+        heads = np.empty((len(rows), HEAD), np.float32)
+        descriptor_kernels.fill_heads(rows, directions, heads)
         order = sort_into_blocks(heads)
         blocks = heads[order]
         boxes = _side_by_side(blocks.min(1), blocks.max(1))
@@ -70,14 +73,13 @@ class DescriptorTree:
         nor the order of the queries changes the answer.
         """
         num = len(queries)
-        heads = queries @ self.directions
         within = np.full(num, -1, np.float32) if within is None else within
         index, first, second = np.empty(num, np.int64), np.empty(num, np.float32), np.empty(num, np.float32)
-        tree = (self.rows, self.order, self.heads, *self.boxes, *self.outer_boxes)
+        tree = (self.directions, self.rows, self.order, self.heads, *self.boxes, *self.outer_boxes)
 
         def find_part(part: slice) -> None:
-            find_nearest(
-                queries[part], heads[part], within[part], tree,
+            descriptor_kernels.find_nearest(
+                queries[part], within[part], tree,
                 index[part], first[part], second[part if with_second else _NO_PART],
             )  # fmt: skip
 
@@ -86,12 +88,14 @@ class DescriptorTree:
 
 
 def find_directions(rows: Descriptors) -> Descriptors:
-    """Directions (D, HEAD) along which rows (R, D) differ most; zeros where there are fewer."""
+    """Directions (D, HEAD) along which rows (R, D) differ most, nearly; zeros where there are fewer.
+
+    They decide how fast nearest rows are found, not which. LAPACK is not used: its threads would spin on long after.
+    """
     sample = rows[:: max(1, len(rows) // _SAMPLE)].astype(np.float64)
-    main = np.linalg.svd(sample - sample.mean(0), full_matrices=False)[2][:HEAD]
-    directions = np.zeros((rows.shape[1], HEAD), np.float32)
-    directions[:, : len(main)] = main.T
-    return directions
+    directions = np.random.default_rng(0).normal(size=(HEAD, rows.shape[1]))
+    descriptor_kernels.find_directions(sample - sample.mean(0), _ROUNDS, directions)
+    return np.ascontiguousarray(directions.T, np.float32)
 
 
 def sort_into_blocks(heads: Descriptors) -> IndexArray:

@@ -2,24 +2,42 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from svc_ros.core import fpfh_kernels
 from svc_ros.core.config import Config
+from svc_ros.core.neighbours import RadiusGrid
+from svc_ros.core.parallel import in_parts, on_all_processors
 from svc_ros.core.scan import Features, PreparedScan
 
 
 def compute_features(prepared: PreparedScan, config: Config) -> Features:
-    """Describe every prepared point by its FPFH (K, 33), L2-normalised; a point without neighbours gets zeros."""
-    import open3d as o3d
+    """Describe every prepared point by its FPFH (K, 33), L2-normalised; a point without neighbours gets zeros.
 
-    tensor = o3d.core.Tensor.from_numpy  # shares memory and asks for arrays that may be written to: hence the copies
-    cloud = o3d.t.geometry.PointCloud(tensor(prepared.points.copy()))
-    cloud.point.normals = tensor(prepared.normals.copy())
-    # The tensor API takes half the time of the legacy one and releases the GIL.
-    histogram = o3d.t.pipelines.registration.compute_fpfh_feature(
-        cloud, max_nn=config.features.max_neighbours, radius=config.feature_radius_m
-    ).numpy()
-    histogram = np.nan_to_num(histogram.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
-    length = np.linalg.norm(histogram, axis=1, keepdims=True)
-    descriptors = np.divide(histogram, length, out=np.zeros_like(histogram), where=length > 0)
+    As Open3D's, in a fifth of its time: the same neighbours (the nearest `max_neighbours` within the radius, the point
+    itself counted), pair features and weights; float32 after the differences of points.
+    """
+    num, bins = len(prepared), 3 * fpfh_kernels.BINS
+    radius, most = config.feature_radius_m, config.features.max_neighbours - 1
+    grid = RadiusGrid.build(prepared.points, radius)
+    tables = (grid.shape, grid.points, grid.column_low, grid.column_first, grid.starts)
+    normals = prepared.normals[grid.order].astype(np.float32)
+    histograms, descriptors = np.empty((num, bins), np.float32), np.empty((num, bins), np.float32)
+
+    def describe_alone(part: slice) -> tuple[NDArray[Any], ...]:
+        lists: tuple[NDArray[Any], ...] = fpfh_kernels.fill_own_histograms(
+            part.start, part.stop, radius, most, tables, normals, histograms
+        )
+        return lists
+
+    def mix(part: slice, lists: tuple[NDArray[Any], ...]) -> None:
+        ends, near, weights = lists
+        fpfh_kernels.mix_histograms(part.start, ends, near, weights, histograms, grid.order, descriptors)
+
+    parts = in_parts(num)
+    neighbours = on_all_processors(describe_alone, parts)
+    on_all_processors(lambda k: mix(parts[k], neighbours[k]), range(len(parts)))
     return Features(prepared, descriptors)

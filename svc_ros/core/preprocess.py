@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
+from numpy.typing import NDArray
 
+from svc_ros.core import raw_scan_kernels, surface_kernels
 from svc_ros.core.config import PreprocessConfig
 from svc_ros.core.errors import ConfigError, TooFewPointsError
 from svc_ros.core.neighbours import RadiusGrid
-from svc_ros.core.scan import Array, IndexArray, PreparedScan, Scan
-
-_FRACTION_STEPS = 2.0**32  # a point's place inside its voxel, in steps of a nanometre or less
+from svc_ros.core.parallel import in_parts, on_all_processors
+from svc_ros.core.scan import Array, PreparedScan, Scan
 
 _SECTOR_DEG = 0.5
 _EVERY_SECTOR = 6  # a sixth of the points shows the spacing as well as all of them
-_SAME_BEAM_DEG = 0.05
+_SAME_BEAM_DEG, _NEXT_SECTOR = 0.05, 500.0  # keys of two sectors differ by more, those of one by less
 _FREE_CELL = float(np.radians(1.0))  # edge on the unit sphere: one free direction a cell, no return as near to it
 
 
@@ -32,7 +32,7 @@ def preprocess(scan: Scan, config: PreprocessConfig) -> PreparedScan:
             f"({config.voxel_size_m:g} m), found {len(points)} (of {len(scan)} raw points, {len(cropped)} in range)"
         )
     normals = estimate_normals(points, scan.sensor_origin, config)
-    spacing = estimate_beam_spacing_deg(cropped - scan.sensor_origin)
+    spacing = estimate_beam_spacing_deg(cropped, scan.sensor_origin)
     return PreparedScan(
         points, normals, scan.sensor_origin, config.voxel_size_m, scan.stamp_ns, scan.frame_id, spacing,
         thin_free_directions(scan),
@@ -41,25 +41,21 @@ def preprocess(scan: Scan, config: PreprocessConfig) -> PreparedScan:
 
 def crop_range(points: Array, sensor_origin: Array, config: PreprocessConfig) -> Array:
     """Keep the points (N, 3) [m] whose range from the sensor lies within the configured limits and is not zero."""
-    sq_range = np.square(points - sensor_origin).sum(1)
-    keep = (sq_range >= config.min_range_m**2) & (sq_range <= config.max_range_m**2) & (sq_range > 0)
-    return points[keep]
+    kept = np.empty_like(points)
+    num = raw_scan_kernels.copy_in_range(points, sensor_origin, config.min_range_m**2, config.max_range_m**2, kept)
+    return kept[:num]
 
 
-def estimate_beam_spacing_deg(relative_points: Array) -> float:
-    """Median angle [deg] between vertically neighbouring beams of raw points (N, 3), given relative to the sensor.
+def estimate_beam_spacing_deg(points: Array, sensor_origin: Array) -> float:
+    """Median angle [deg] between vertically neighbouring beams of raw points (N, 3).
 
     Looks into narrow azimuth sectors, where a spinning sensor or a depth image is a vertical line of beams. 0 where
     no sector holds two of them.
     """
-    x, y, z = relative_points.T
-    sector = np.floor(np.degrees(np.arctan2(y, x)) / _SECTOR_DEG).astype(np.int64)
-    looked_at = sector % _EVERY_SECTOR == 0
-    elevation = np.degrees(np.arctan2(z[looked_at], np.hypot(x[looked_at], y[looked_at])))
-    sector = sector[looked_at]
-    order = np.lexsort((elevation, sector))
-    gap = np.diff(elevation[order])[np.diff(sector[order]) == 0]
-    gap = gap[gap > _SAME_BEAM_DEG]
+    keys = np.empty(len(points))
+    num = raw_scan_kernels.fill_elevations(points, sensor_origin, _SECTOR_DEG, _EVERY_SECTOR, keys)
+    gap = np.diff(np.sort(keys[:num]))
+    gap = gap[(gap > _SAME_BEAM_DEG) & (gap < _NEXT_SECTOR)]
     return float(np.median(gap)) if len(gap) else 0.0
 
 
@@ -69,19 +65,29 @@ def thin_on_voxel_grid(points: Array, voxel_size_m: float) -> Array:
     Open3D's grids are not used: one sums up in input order, the other changes the order of points from run to run.
     Raises ConfigError where the voxels are too small to be counted over the scan's extent.
     """
-    if len(points) == 0:
+    num = len(points)
+    if num == 0:
         return np.zeros((0, 3))
-    corner = points.min(0) - 0.5 * voxel_size_m
-    position = (points - corner) / voxel_size_m
-    cell = np.floor(position)
-    key = _cell_numbers(cell.astype(np.int64), voxel_size_m)
-    _, first, row = np.unique(key, return_index=True, return_inverse=True)
-    # Sums of whole numbers below 2^53 are exact, so that their order does not matter.
-    fraction = np.rint((position - cell) * _FRACTION_STEPS)
-    sums = np.stack([np.bincount(row, fraction[:, axis], len(first)) for axis in range(3)], 1)
-    mean = sums / (_FRACTION_STEPS * np.bincount(row)[:, None])
-    thinned = corner + voxel_size_m * (cell[first] + mean)
-    return thinned[np.lexsort(thinned.T)]
+    corner = np.array([axis.min() for axis in points.T]) - 0.5 * voxel_size_m
+    extent = np.floor((np.array([axis.max() for axis in points.T]) - corner) / voxel_size_m) + 1
+    if np.prod(extent) >= 2.0**62:
+        raise ConfigError(f"preprocess.voxel_size_m: {voxel_size_m:g} m is too small for a scan of {extent} voxels")
+    cells, fractions, counts = np.empty((num, 3)), np.empty((num, 3), np.int64), np.empty(num, np.int64)
+    num = raw_scan_kernels.sum_in_cells(
+        points, corner, voxel_size_m, extent.astype(np.int64), cells, fractions, counts
+    )  # fmt: skip
+    mean = fractions[:num] / (raw_scan_kernels.FRACTION_STEPS * counts[:num, None])
+    return _sort_points(corner + voxel_size_m * (cells[:num] + mean))
+
+
+def _sort_points(points: Array) -> Array:
+    """By z, then y, then x; only the few that share their z need more than the first."""
+    order = np.argsort(points[:, 2])
+    z = points[order, 2]
+    same = np.concatenate([[False], z[1:] == z[:-1], [False]])
+    tied = np.flatnonzero(same[1:] | same[:-1])
+    order[tied] = order[tied][np.lexsort(points[order[tied]].T)]
+    return points[order]
 
 
 def thin_free_directions(scan: Scan) -> Array:
@@ -101,40 +107,31 @@ def _units(vectors: Array) -> Array:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
-def _cell_numbers(cell: IndexArray, voxel_size_m: float) -> IndexArray:
-    """One number (N,) for each cell (N, 3), counted through the box around all of them."""
-    extent = cell.max(0) + 1
-    if np.prod(extent.astype(np.float64)) >= 2.0**62:
-        raise ConfigError(f"preprocess.voxel_size_m: {voxel_size_m:g} m is too small for a scan of {extent} voxels")
-    return np.asarray((cell[:, 0] * extent[1] + cell[:, 1]) * extent[2] + cell[:, 2])
-
-
 def estimate_normals(points: Array, sensor_origin: Array, config: PreprocessConfig) -> Array:
-    """Unit normals (K, 3) of points (K, 3) [m], turned towards the sensor.
+    """Unit normals (K, 3) of points (K, 3) [m], turned towards the sensor; as Open3D's, in a third of its time.
 
-    Points without a plane around them (fewer than three neighbours) face the sensor.
+    Points without a plane around them (fewer than three neighbours, themselves included) face the sensor.
     """
-    import open3d as o3d
+    grid = RadiusGrid.build(points, config.normal_radius_m)
+    tables = (grid.shape, grid.points, grid.column_low, grid.column_first, grid.starts)
+    sorted_normals, sorted_known = np.empty((len(points), 3)), np.empty(len(points), np.bool_)
 
-    cloud = o3d.t.geometry.PointCloud(o3d.core.Tensor.from_numpy(np.array(points, np.float64, order="C")))
-    cloud.estimate_normals(max_nn=config.normal_max_neighbours, radius=config.normal_radius_m)
-    normals: Array = cloud.point.normals.numpy().astype(np.float64, copy=True)
-    to_sensor = sensor_origin - points
-    to_sensor /= np.maximum(np.linalg.norm(to_sensor, axis=1, keepdims=True), 1e-12)
-    no_plane = _find_without_plane(points, normals, config.normal_radius_m)
-    normals[no_plane] = to_sensor[no_plane]
+    def fit(part: slice) -> None:
+        surface_kernels.fit_normals(
+            part.start, part.stop, config.normal_radius_m, config.normal_max_neighbours - 1, tables,
+            sorted_normals, sorted_known,
+        )  # fmt: skip
+
+    on_all_processors(fit, in_parts(len(points)))
+    normals, known = np.empty_like(sorted_normals), np.empty_like(sorted_known)
+    normals[grid.order], known[grid.order] = sorted_normals, sorted_known
+    return _turn_to_sensor(normals, known, sensor_origin - points)
+
+
+def _turn_to_sensor(normals: Array, known: NDArray[np.bool_], to_sensor: Array) -> Array:
+    """Normals (K, 3) on the side of the sensor, whose direction is theirs where they are not known."""
     away = np.einsum("ij,ij->i", normals, to_sensor) < 0
-    normals[away] *= -1.0
-    return normals
-
-
-def _find_without_plane(points: Array, normals: Array, radius_m: float) -> IndexArray:
-    """Indices of points with fewer than three neighbours, themselves included.
-
-    Open3D answers (0, 0, 1) for them, and for every point of a level floor as well: those must be told apart.
-    """
-    suspects = np.flatnonzero(~np.isfinite(normals).all(1) | (np.abs(normals[:, 2]) == 1.0))
-    if len(suspects) == 0:
-        return suspects
-    num_near = cKDTree(points).query_ball_point(points[suspects], radius_m, return_length=True)
-    return suspects[np.asarray(num_near) < 3]
+    turned = np.where(away[:, None], -normals, normals)
+    unknown = to_sensor[~known]
+    turned[~known] = unknown / np.maximum(np.linalg.norm(unknown, axis=1, keepdims=True), 1e-12)
+    return turned
