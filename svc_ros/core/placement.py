@@ -40,13 +40,14 @@ class Placement:
 
 def place(observer: PreparedScan, other: PreparedScan, T_observer_other: Array, config: SightViewConfig) -> Placement:
     """Place the other scan by a pose (4, 4) and find the surface under every point."""
-    grid = radius_grid(observer, config.tolerance_m)
     points, normals = np.empty_like(other.points), np.empty_like(other.normals)
     nearest, sums = np.empty(len(other), np.int64), np.empty(10)
-    neighbour_kernels.meet(
-        np.ascontiguousarray(T_observer_other), other.points, other.normals, observer.points, observer.normals,
-        np.array([config.tolerance_m, config.same_side_cosine]), *grid.tables, points, normals, nearest, sums,
-    )  # fmt: skip
+    neighbour_kernels.place(np.ascontiguousarray(T_observer_other), other.points, other.normals, points, normals)
+    grid = radius_grid(observer, config.tolerance_m)
+    neighbour_kernels.find_nearest(points, config.tolerance_m, *grid.tables, nearest)
+    neighbour_kernels.sum_up(
+        points, normals, nearest, observer.points, observer.normals, config.tolerance_m, config.same_side_cosine, sums
+    )
     near, same, opposed, tight = sums[:4].astype(np.int64).tolist()
     planes = sums[[4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(3, 3)
     return Placement(points, normals, nearest, near, same, opposed, tight, planes)

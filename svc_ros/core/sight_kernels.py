@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-_jit = njit(nogil=True, cache=True)
+_jit = njit(nogil=True, cache=True, error_model="numpy")
 
 
 @_jit
