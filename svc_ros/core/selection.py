@@ -6,7 +6,7 @@ the default, every distinct hypothesis refined, looked at along the sight lines 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,11 +15,12 @@ from svc_ros.core import decision, paper_rule, shortlist
 from svc_ros.core.config import Config
 from svc_ros.core.evidence import SightViewEvidence
 from svc_ros.core.observability import SurfaceContact, find_contact, shift
+from svc_ros.core.parallel import on_all_processors
 from svc_ros.core.prescore import thinned_scan
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Array, Correspondences, HypothesisSet, PreparedScan
 from svc_ros.core.se3 import pose_error
-from svc_ros.core.sight_view import Allowance, allow_all, gather_evidence
+from svc_ros.core.sight_view import Allowance, gather_evidence, index
 from svc_ros.core.stopwatch import Stopwatch
 
 
@@ -33,10 +34,17 @@ class Pair:
     counts: dict[str, int]
     watch: Stopwatch
 
-    def look(self, T: Array, allowance: Allowance = allow_all) -> SightViewEvidence:
-        """The evidence of one pose; the look ends early where more is blocked than allowed."""
+    def look(self, T: Array) -> SightViewEvidence:
+        """The evidence of one pose."""
         with self.watch.stage("sight_view"):
-            return gather_evidence(self.source, self.target, T, self.config.sight_view, allowance)
+            return gather_evidence(self.source, self.target, T, self.config.sight_view)
+
+    def look_at_all(self, poses: Sequence[Array], allowance: Allowance) -> list[SightViewEvidence]:
+        """The evidence of each pose, on all processors; a look ends early where more is blocked than allowed."""
+        view = self.config.sight_view
+        with self.watch.stage("sight_view"):
+            on_all_processors(lambda scan: index(scan, view), (self.source, self.target))
+            return on_all_processors(lambda T: gather_evidence(self.source, self.target, T, view, allowance), poses)
 
     def promise(self, evidence: SightViewEvidence) -> float:
         """What poses are ranked by: the smallest margin that the decision will look at."""
@@ -134,8 +142,7 @@ def _choose_best(pair: Pair, starts: Array) -> RegistrationResult:
 
 def _look_at_all(pair: Pair, poses: Array) -> list[SightViewEvidence]:
     """Evidence of poses (S, 4, 4): whole for every pose that may be accepted, and for all if none may be."""
-    allowance = decision.blocked_allowance(pair.config.decision)
-    evidence = [pair.look(T, allowance) for T in poses]
+    evidence = pair.look_at_all(list(poses), decision.blocked_allowance(pair.config.decision))
     if any(e.complete and pair.promise(e) > 0 for e in evidence):
         return evidence
     return [e if e.complete else pair.look(T) for e, T in zip(evidence, poses, strict=True)]
@@ -150,8 +157,8 @@ def _search_widely(pair: Pair, by_agreement: Array) -> Array:
     with pair.watch.stage("wide_search"):
         starts = by_agreement[shortlist.select_distinct(by_agreement, limits, limits.rough_poses)]
         T = np.array([shortlist.refine_roughly(start, pair.source, pair.target, limits) for start in starts])
-        thin = [thinned_scan(scan, limits.rough_view_points) for scan in (pair.source, pair.target)]
-        looks = [gather_evidence(thin[0], thin[1], pose, pair.config.sight_view) for pose in T]
+        source, target = (thinned_scan(scan, limits.rough_view_points) for scan in (pair.source, pair.target))
+        looks = on_all_processors(lambda pose: gather_evidence(source, target, pose, pair.config.sight_view), list(T))
         T = T[np.argsort([-pair.promise(evidence) for evidence in looks], kind="stable")]
         pair.counts["searched"] = len(T)
         return np.asarray(T[shortlist.select_distinct(T, limits, limits.max_poses)])
@@ -211,7 +218,7 @@ def _with_slips(pair: Pair, T: Array, evidence: SightViewEvidence) -> Settled:
 
     def slips(distance_m: float, least_score: float) -> list[tuple[Array, SightViewEvidence]]:
         poses = [shift(T, direction, sign * distance_m) for direction in directions for sign in (-1.0, 1.0)]
-        return [(pose, pair.look(pose, decision.score_allowance(least_score))) for pose in poses]
+        return list(zip(poses, pair.look_at_all(poses, decision.score_allowance(least_score)), strict=True))
 
     return Settled(T, evidence, slips(config.slip_m, config.slip_score_ratio * best), slips(0.5 * config.slip_m, best))
 

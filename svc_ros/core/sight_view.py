@@ -17,7 +17,7 @@ from svc_ros.core import se3, sight_kernels
 from svc_ros.core.config import SightViewConfig
 from svc_ros.core.evidence import SightLines, SightViewEvidence
 from svc_ros.core.free_space import count_free_blocked
-from svc_ros.core.neighbours import direction_grid
+from svc_ros.core.neighbours import direction_grid, radius_grid
 from svc_ros.core.placement import Placement, place
 from svc_ros.core.prescore import thinned_scan
 from svc_ros.core.scan import Array, IndexArray, PreparedScan
@@ -45,7 +45,7 @@ def gather_evidence(
     no interest; the look ends there, and its evidence is not `complete`: at least so many lines are blocked, or, where
     the allowance is below zero, none was looked at.
     """
-    if allowance is not allow_all:
+    if allowance(0.0) < 0.0:  # whether it is of interest at all depends on the overlap, which few points tell
         shares = _glimpse(source, target, T_target_source, config)
         if allowance(shares[1] + _GLIMPSE_ERROR) < 0.0:
             return SightViewEvidence(_unseen(target), _unseen(source), *shares)
@@ -56,6 +56,14 @@ def gather_evidence(
     target_lines = find_blocked(target, in_target, config, allowed)
     source_lines = find_blocked(source, in_source, config, allowed if target_lines.complete else -1.0)
     return SightViewEvidence(target_lines, source_lines, *shares)
+
+
+def index(scan: PreparedScan, config: SightViewConfig) -> None:
+    """Build what looks at a scan need; they do so themselves, but several at once would each build their own."""
+    radius_grid(scan, config.tolerance_m)
+    direction_grid(scan)
+    _sectors(scan, config)
+    thinned_scan(scan, _GLIMPSE_POINTS)
 
 
 def _glimpse(
