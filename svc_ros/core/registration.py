@@ -9,6 +9,7 @@ from svc_ros.core.config import Config
 from svc_ros.core.features import compute_features
 from svc_ros.core.hypotheses import generate_hypotheses
 from svc_ros.core.matching import match
+from svc_ros.core.parallel import on_all_processors
 from svc_ros.core.preprocess import preprocess
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Correspondences, Features, PreparedScan, Scan
@@ -38,7 +39,7 @@ def register(
     watch = Stopwatch()
     # Thin the scans and turn their normals to the sensor.
     with watch.stage("prepare"):
-        source_scan, target_scan = _prepared(source, config), _prepared(target, config)
+        source_scan, target_scan = _both_prepared(source, target, config)
     # Describe every point and match the descriptors.
     if correspondences is None:
         with watch.stage("features"):
@@ -71,9 +72,16 @@ def verify(
     watch = Stopwatch()
     T = nearest_pose(check_pose(T_target_source))
     with watch.stage("prepare"):
-        source_scan, target_scan = _prepared(source, config), _prepared(target, config)
+        source_scan, target_scan = _both_prepared(source, target, config)
     counts = _count_points(source_scan, target_scan)
     return selection.VERIFIERS[config.method](selection.Pair(source_scan, target_scan, config, counts, watch), T)
+
+
+def _both_prepared(
+    source: Scan | PreparedScan | Features, target: Scan | PreparedScan | Features, config: Config
+) -> tuple[PreparedScan, PreparedScan]:
+    source_scan, target_scan = on_all_processors(lambda scan: _prepared(scan, config), (source, target))
+    return source_scan, target_scan
 
 
 def _prepared(scan: Scan | PreparedScan | Features, config: Config) -> PreparedScan:
