@@ -101,7 +101,7 @@ class KissMotion:
             return scan
         first, last = float(times.min()), float(times.max())
         at_end = self._sweep.preprocess(
-            np.ascontiguousarray(scan.points), (times - first) / (last - first), self._move(last - first)
+            np.array(scan.points), (times - first) / (last - first), self._move(last - first)
         )
         return dataclasses.replace(scan, points=se3.apply(self._move(last), at_end), point_times_s=None)
 
