@@ -34,9 +34,9 @@ def test_largest_takes_the_smaller_index_of_equals(num, k):
 @pytest.mark.parametrize("radius", [0.0, 0.5, 2.0, 100.0])
 def test_local_maxima_equal_the_full_distance_matrix(num, radius):
     points = np.round(RNG.normal(size=(num, 3)) * 2, 1)
-    score = RNG.integers(0, 10, num) / 10.0  # ties: neither is larger, both stay
+    score = np.sort(RNG.integers(0, 10, num) / 10.0)[::-1].copy()  # ties: neither is larger, both stay
     found = np.zeros(num, bool)
-    kernels.mark_local_maxima(points, score, radius, found)
+    kernels.mark_local_maxima(0, len(points), points, score, radius, found)
     np.testing.assert_array_equal(found, reference.local_maxima(points, score, radius))
 
 

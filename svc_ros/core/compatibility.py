@@ -11,7 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svc_ros.core import kernels
+from svc_ros.core.parallel import in_parts, on_all_processors
 from svc_ros.core.scan import Array, Correspondences, IndexArray
+
+_ROWS = 256  # that one thread takes at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,14 +34,21 @@ class Compatibility:
 
 def compute_compatibility(correspondences: Correspondences, threshold_m: float) -> Compatibility:
     """Compare all pairs of correspondences; `threshold_m` is d_thr."""
-    x, y = correspondences.source_points, correspondences.target_points
     num = len(correspondences)
-    counts = np.zeros(num, np.int64)
-    kernels.count_compatible(x, y, threshold_m, counts)
-    starts = np.concatenate(([0], np.cumsum(counts - 1)))
-    columns, values = np.empty(starts[-1], np.int32), np.empty(starts[-1], np.float32)
+    x, y = (np.ascontiguousarray(p.T) for p in (correspondences.source_points, correspondences.target_points))
     loose, tight = (np.zeros((num, (num + 63) // 64), np.uint64) for _ in range(2))
-    kernels.fill_compatible(x, y, threshold_m, starts, columns, values, loose, tight)
+    counts = np.zeros(num, np.int64)
+    rows = in_parts(num, _ROWS)
+    on_all_processors(
+        lambda part: kernels.mark_compatible(part.start, part.stop, x, y, threshold_m, loose, tight, counts), rows
+    )
+    starts = np.concatenate(([0], np.cumsum(counts)))
+    columns, values = np.empty(starts[-1], np.int32), np.empty(starts[-1], np.float32)
+    on_all_processors(
+        lambda part: kernels.fill_compatible(
+            part.start, part.stop, x, y, threshold_m, loose, starts, columns, values
+        ), rows
+    )  # fmt: skip
     return Compatibility(starts, columns, values, loose, tight)
 
 

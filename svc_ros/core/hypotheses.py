@@ -8,7 +8,10 @@ from numpy.typing import NDArray
 from svc_ros.core import kernels, se3
 from svc_ros.core.compatibility import compute_compatibility, leading_eigenvector
 from svc_ros.core.config import HypothesisConfig
+from svc_ros.core.parallel import in_parts, on_all_processors
 from svc_ros.core.scan import Array, Correspondences, HypothesisSet, IndexArray
+
+_SEEDS, _POINTS = 128, 256  # that one thread takes at once
 
 
 def generate_hypotheses(correspondences: Correspondences, config: HypothesisConfig) -> HypothesisSet:
@@ -27,11 +30,15 @@ def generate_hypotheses(correspondences: Correspondences, config: HypothesisConf
 
 def select_seeds(source_points: Array, confidence: Array, config: HypothesisConfig) -> IndexArray:
     """Local maxima of the confidence in source space, best first, at most a share of all; never padded."""
-    is_maximum = np.zeros(len(confidence), bool)
-    kernels.mark_local_maxima(source_points, confidence, config.nms_radius_m, is_maximum)
-    maxima = np.flatnonzero(is_maximum)
+    order = np.argsort(-confidence, kind="stable")
+    points, score, is_maximum = source_points[order], confidence[order], np.zeros(len(order), bool)
+
+    def mark(part: slice) -> None:
+        kernels.mark_local_maxima(part.start, part.stop, points, score, config.nms_radius_m, is_maximum)
+
+    on_all_processors(mark, in_parts(len(order), _POINTS))
     limit = min(config.max_seeds, max(1, int(config.seed_ratio * len(confidence))))
-    return maxima[np.argsort(-confidence[maxima], kind="stable")][:limit]
+    return order[is_maximum][:limit]
 
 
 def find_consensus_sets(
@@ -44,10 +51,15 @@ def find_consensus_sets(
     """Consensus sets (S, k2) of the seeds as correspondence indices, and how many of each row are valid (S,)."""
     sets = np.zeros((len(seeds), config.second_consensus), np.int64)
     sizes = np.zeros(len(seeds), np.int64)
-    kernels.consensus_sets(
-        seeds, correspondences.source_points, correspondences.target_points, config.compatibility_threshold_m,
-        loose, tight, config.first_consensus, config.second_consensus, sets, sizes,
-    )  # fmt: skip
+
+    def fill(part: slice) -> None:
+        kernels.consensus_sets(
+            seeds[part], correspondences.source_points, correspondences.target_points,
+            config.compatibility_threshold_m, loose, tight, config.first_consensus, config.second_consensus,
+            sets[part], sizes[part],
+        )  # fmt: skip
+
+    on_all_processors(fill, in_parts(len(seeds), _SEEDS))
     return sets, sizes
 
 
@@ -65,7 +77,12 @@ def rank(T: Array, correspondences: Correspondences, config: HypothesisConfig) -
     num_inliers = np.zeros(len(T), np.int64)
     mae, mse = np.zeros(len(T)), np.zeros(len(T))
     x, y = correspondences.source_points, correspondences.target_points
-    kernels.score_poses(np.ascontiguousarray(T), x, y, config.inlier_threshold_m, num_inliers, mae, mse)
+    T = np.ascontiguousarray(T)
+
+    def score_part(part: slice) -> None:
+        kernels.score_poses(T[part], x, y, config.inlier_threshold_m, num_inliers[part], mae[part], mse[part])
+
+    on_all_processors(score_part, in_parts(len(T), _SEEDS))
     score = {"ic": num_inliers.astype(np.float64), "mae": mae, "mse": mse}[config.ranking]
     order = np.argsort(-score, kind="stable")
     return HypothesisSet(T[order], num_inliers[order], score[order])

@@ -5,54 +5,62 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-_jit = njit(nogil=True, cache=True)
+_jit = njit(nogil=True, cache=True, error_model="numpy")
 
 
 @_jit
-def count_compatible(x, y, threshold, counts):  # type: ignore[no-untyped-def]
-    """counts (N,): number of j with | |x_i - x_j| - |y_i - y_j| | < threshold, j = i included."""
-    n = x.shape[0]
-    counts[:] = 1
-    for i in range(n):
-        for j in range(i + 1, n):
-            if abs(_length_difference(x, y, i, j)) < threshold:
-                counts[i] += 1
-                counts[j] += 1
+def mark_compatible(first, last, x, y, threshold, loose, tight, counts):  # type: ignore[no-untyped-def]
+    """Rows first..last of the bit sets H (loose) and G (tight), (N, W) uint64, zero before: bit j of row i.
 
-
-@_jit
-def fill_compatible(x, y, threshold, starts, columns, values, loose, tight):  # type: ignore[no-untyped-def]
-    """Write the first-order matrix A as sparse rows (no diagonal) and the bit sets H (loose) and G (tight).
-
-    starts (N + 1,) comes from count_compatible; columns, values: the non-zeros of A, ascending in each row;
-    loose, tight: (N, W) uint64, bit j of row i, diagonal set.
+    x, y (3, N): source and target points by axis; delta_ij < threshold and < threshold / 2, diagonal set;
+    counts (N,): bits of the loose row without the diagonal.
     """
-    n = x.shape[0]
-    cursor = starts[:-1].copy()
-    one = np.uint64(1)
-    for i in range(n):
-        _set_bit(loose, i, i, one)
-        _set_bit(tight, i, i, one)
-        for j in range(i + 1, n):
-            delta = abs(_length_difference(x, y, i, j))
-            if delta < threshold:
-                value = np.float32(1.0 - (delta / threshold) ** 2)
-                columns[cursor[i]] = j
-                values[cursor[i]] = value
-                cursor[i] += 1
-                columns[cursor[j]] = i
-                values[cursor[j]] = value
-                cursor[j] += 1
-                _set_bit(loose, i, j, one)
-                _set_bit(loose, j, i, one)
-                if delta < 0.5 * threshold:
-                    _set_bit(tight, i, j, one)
-                    _set_bit(tight, j, i, one)
+    n = x.shape[1]
+    delta = np.empty(64 * loose.shape[1])
+    delta[n:] = threshold
+    for i in range(first, last):
+        _length_differences(x, y, i, delta)
+        count = -1
+        for word in range(loose.shape[1]):
+            near, nearer = np.uint64(0), np.uint64(0)
+            for bit in range(64):
+                near |= np.uint64(delta[64 * word + bit] < threshold) << np.uint64(bit)
+            if near:
+                for bit in range(64):
+                    nearer |= np.uint64(delta[64 * word + bit] < 0.5 * threshold) << np.uint64(bit)
+                count += np.int64(popcount(near))
+            loose[i, word], tight[i, word] = near, nearer
+        counts[i] = count
 
 
 @_jit
-def _set_bit(bits, i, j, one):  # type: ignore[no-untyped-def]
-    bits[i, j >> 6] |= one << np.uint64(j & 63)
+def _length_differences(x, y, i, delta):  # type: ignore[no-untyped-def]
+    """delta (N,): | |x_i - x_j| - |y_i - y_j| |."""
+    for j in range(x.shape[1]):
+        ax, ay, az = x[0, i] - x[0, j], x[1, i] - x[1, j], x[2, i] - x[2, j]
+        bx, by, bz = y[0, i] - y[0, j], y[1, i] - y[1, j], y[2, i] - y[2, j]
+        delta[j] = abs(np.sqrt(ax * ax + ay * ay + az * az) - np.sqrt(bx * bx + by * by + bz * bz))
+
+
+@_jit
+def fill_compatible(first, last, x, y, threshold, loose, starts, columns, values):  # type: ignore[no-untyped-def]
+    """Rows first..last of the first-order matrix A without its diagonal: columns, ascending, and values from starts."""
+    one = np.uint64(1)
+    for i in range(first, last):
+        cursor = starts[i]
+        for word in range(loose.shape[1]):
+            bits = loose[i, word]
+            j = 64 * word
+            while bits:
+                if bits & one and j != i:
+                    ax, ay, az = x[0, i] - x[0, j], x[1, i] - x[1, j], x[2, i] - x[2, j]
+                    bx, by, bz = y[0, i] - y[0, j], y[1, i] - y[1, j], y[2, i] - y[2, j]
+                    delta = np.sqrt(ax * ax + ay * ay + az * az) - np.sqrt(bx * bx + by * by + bz * bz)
+                    columns[cursor] = j
+                    values[cursor] = np.float32(1.0 - (delta / threshold) ** 2)
+                    cursor += 1
+                bits >>= one
+                j += 1
 
 
 @_jit
@@ -81,18 +89,18 @@ def leading_eigenvector(starts, columns, values, rounds, vector):  # type: ignor
 
 
 @_jit
-def mark_local_maxima(points, score, radius, is_maximum):  # type: ignore[no-untyped-def]
-    """is_maximum (N,): no point within `radius` has a larger score."""
-    n = points.shape[0]
+def mark_local_maxima(first, last, points, score, radius, is_maximum):  # type: ignore[no-untyped-def]
+    """is_maximum (N,), from first to last: no point within `radius` has a larger score. Scores descend."""
     sq_radius = radius * radius
-    for i in range(n):
+    for i in range(first, last):
         is_maximum[i] = True
-        for j in range(n):
-            if score[j] > score[i]:
-                dx, dy, dz = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1], points[i, 2] - points[j, 2]
-                if dx * dx + dy * dy + dz * dz <= sq_radius:
-                    is_maximum[i] = False
-                    break
+        for j in range(i):
+            if score[j] <= score[i]:
+                break
+            dx, dy, dz = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1], points[i, 2] - points[j, 2]
+            if dx * dx + dy * dy + dz * dz <= sq_radius:
+                is_maximum[i] = False
+                break
 
 
 @_jit

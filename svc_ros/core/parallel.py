@@ -26,9 +26,9 @@ def on_all_processors(work: Callable[[Part], Done], parts: Iterable[Part]) -> li
         return list(threads.map(work, parts))
 
 
-def in_parts(num: int) -> list[slice]:
-    """0..num-1 in parts of a thousand, so that no processor waits long for the others. The last may be shorter."""
-    return [slice(start, min(start + _PART, num)) for start in range(0, num, _PART)]
+def in_parts(num: int, part: int = _PART) -> list[slice]:
+    """0..num-1 in parts so small that no processor waits long for the others. The last may be shorter."""
+    return [slice(start, min(start + part, num)) for start in range(0, num, part)]
 
 
 def num_processors() -> int:
