@@ -88,4 +88,5 @@ def test_structures_are_built_once_a_scan():
     assert radius_grid(scan, 0.5) is radius_grid(scan, 0.5)
     assert radius_grid(scan, 0.5) is not radius_grid(scan, 0.6)
     assert direction_grid(scan) is direction_grid(scan)
-    np.testing.assert_array_equal(direction_grid(scan).lines[:, :3], (scan.points - (1, 2, 3))[direction_grid(scan).order])
+    grid = direction_grid(scan)
+    np.testing.assert_array_equal(grid.lines[:, :3], (scan.points - (1, 2, 3))[grid.order])

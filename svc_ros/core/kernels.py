@@ -28,7 +28,7 @@ def mark_compatible(first, last, x, y, threshold, loose, tight, counts):  # type
             if near:
                 for bit in range(64):
                     nearer |= np.uint64(delta[64 * word + bit] < 0.5 * threshold) << np.uint64(bit)
-                count += np.int64(popcount(near))
+                count += int(popcount(near))
             loose[i, word], tight[i, word] = near, nearer
         counts[i] = count
 
