@@ -184,6 +184,16 @@ def test_a_room_that_is_much_alike_is_not_taken_for_the_last_one(seed: int) -> N
     assert [d.result.accepted for d in decisions[6:]] == 3 * [False]
 
 
+@pytest.mark.parametrize("seed", [2, 3])
+def test_in_a_corridor_small_errors_do_not_add_up(seed: int) -> None:
+    """Rings on the floor go along with the sensor: each pose may be short of the way, all of them must not be."""
+    drive = list(drive_scans(DriveConfig("corridor_features", "VLP-16", 15, 0.2, 5.0, seed)))
+    decisions = match([Scan(s.cast.points, s.stamp_ns, "lidar") for s in drive])
+    assert_none_wrong(decisions, [s.T_map_lidar for s in drive], (1.0, 0.45))
+    assert decisions[-1].result.accepted
+    assert errors(decisions, [s.T_map_lidar for s in drive])[-1][1] < 0.15
+
+
 def test_a_street_is_driven_through(shared_data: Path) -> None:
     reference = read_tum(shared_data / "bags" / "hdl64_kitti_a_10hz_reference_tum.txt")
     scans, poses = real_scans(shared_data / "bags" / "hdl64_kitti_a_10hz", reference)

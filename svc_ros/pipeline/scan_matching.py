@@ -22,7 +22,7 @@ from svc_ros.pipeline.decide import register_pair
 from svc_ros.pipeline.keyframes import Keyframe, KeyframeStore
 from svc_ros.pipeline.motion import KissMotion, Motion
 from svc_ros.pipeline.place import compare_places
-from svc_ros.pipeline.stream import StampOrder, StreamDecision, demand, drop_scan, refuse_scan
+from svc_ros.pipeline.stream import StampOrder, StreamDecision, demand, drop_scan, leave_undecided, refuse_scan
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,21 +97,43 @@ class ScanMatcher:
 
     def _attempts(self, motion: Motion, this: Keyframe, current: Keyframe) -> Iterator[_Attempt]:
         """Poses of the scan, judged one after the other, cheapest first."""
-        targets = [current] if self._last is current or self._last is None else [current, self._last]
-        for target in targets:
-            yield self._verified(motion, this, target, "motion")
-        turned = self._turned(motion, this)
-        for target in targets:
-            yield self._verified(turned, this, target, "turn")
+        yield from self._judged(motion, this, current, "motion")
+        yield from self._judged(self._turned(motion, this), this, current, "turn")
         for target in self._recovery_targets(this):
             result = register_pair(this.features, target.features, self._config)
-            yield _Attempt(demand(result, self._config.scan_matching.min_probability), target, "registration")
+            yield _Attempt(self._trusted(result, target), target, "registration")
+
+    def _judged(self, motion: Motion, this: Keyframe, current: Keyframe, origin: str) -> Iterator[_Attempt]:
+        """The motion against the keyframe, and against the last accepted scan where the keyframe sees too little.
+
+        Not where the keyframe contradicts the pose: it shows a longer way, and with it what is wrong, more clearly.
+        """
+        attempt = self._verified(motion, this, current, origin)
+        yield attempt
+        sees_too_little = attempt.result.reason in (Reason.LOW_OVERLAP, Reason.INSUFFICIENT_EVIDENCE)
+        if sees_too_little and self._last is not None and self._last is not current:
+            yield self._verified(motion, this, self._last, origin)
 
     def _verified(self, motion: Motion, this: Keyframe, target: Keyframe, origin: str) -> _Attempt:
         T_target_source = se3.invert(_pose(target)) @ motion.T_odom_scan
         num = self._config.scan_matching.verify_points
         result = verify(_thinned(this.scan, num), _thinned(target.scan, num), T_target_source, self._config)
-        return _Attempt(demand(result, self._config.scan_matching.min_probability), target, origin)
+        return _Attempt(self._trusted(result, target), target, origin)
+
+    def _trusted(self, result: RegistrationResult, target: Keyframe) -> RegistrationResult:
+        """The result as far as odometry can be built on it.
+
+        Where surfaces hardly resist a shift (a corridor) a pose may be off by what no sight line tells. Against one
+        keyframe that stays as it is; with a new target for each scan it would add up.
+        """
+        result = demand(result, self._config.scan_matching.min_probability)
+        if not result.accepted or result.evidence is None or target is self._current:
+            return result
+        found, wanted = result.evidence.weakest_constraint, self._config.decision.weak_constraint
+        if found >= wanted:
+            return result
+        why = f"surfaces that resist a shift by {found:.3f} only, {wanted:g} is wanted of other scans than the keyframe"
+        return leave_undecided(result, Reason.AMBIGUOUS, why)
 
     def _turned(self, motion: Motion, this: Keyframe) -> Motion:
         """The motion from where the last accepted scan stood, turned as the looks of both places say."""

@@ -49,9 +49,15 @@ def demand(result: RegistrationResult, min_probability: float) -> RegistrationRe
     """
     if not result.accepted or result.probability is None or result.probability >= min_probability:
         return result
+    why = f"probability {result.probability:.2f}, at least {min_probability:g} is wanted here"
+    return leave_undecided(result, Reason.INSUFFICIENT_EVIDENCE, why)
+
+
+def leave_undecided(result: RegistrationResult, reason: Reason, why: str) -> RegistrationResult:
+    """An accepted result whose pose is not to be used after all; its numbers stay."""
     return dataclasses.replace(
-        result, verdict=Verdict.UNDECIDED, reason=Reason.INSUFFICIENT_EVIDENCE, T_target_source=None, covariance=None,
-        detail=f"probability {result.probability:.2f}, at least {min_probability:g} is wanted here: {result.detail}",
+        result, verdict=Verdict.UNDECIDED, reason=reason, T_target_source=None, covariance=None,
+        detail=f"{why}: {result.detail}",
     )  # fmt: skip
 
 
