@@ -24,6 +24,9 @@ from svc_ros.core.sight_view import Allowance, gather_evidence, index
 from svc_ros.core.stopwatch import Stopwatch
 
 
+_HOPELESS = float(np.log(8.0))  # a pose that promises less by this can neither win nor cast doubt on the winner
+
+
 @dataclass(frozen=True, eq=False)
 class Pair:
     """Two prepared scans on their way to a verdict, with what was counted and timed so far."""
@@ -60,10 +63,16 @@ class Pair:
         with self.watch.stage("observability"):
             return find_contact(self.source, self.target, T, self.config.sight_view)
 
-    def answer(self, T: Array, evidence: SightViewEvidence | None, decided: decision.Decision) -> RegistrationResult:
+    def answer(
+        self,
+        T: Array,
+        evidence: SightViewEvidence | None,
+        decided: decision.Decision,
+        contact: SurfaceContact | None = None,
+    ) -> RegistrationResult:
         """The result for the pose T; it is the transform exactly if the verdict is ACCEPTED."""
         accepted = decided.verdict is Verdict.ACCEPTED
-        covariance = self.contact(T).covariance(self.config.covariance) if accepted else None
+        covariance = (contact or self.contact(T)).covariance(self.config.covariance) if accepted else None
         return RegistrationResult(
             decided.verdict, decided.reason, self.config.method, T if accepted else None, T,
             covariance, decided.probability, evidence, self.counts, self.watch.times(), decided.detail,
@@ -123,10 +132,25 @@ def choose_svc(pair: Pair, correspondences: Correspondences, hypotheses: Hypothe
             hypotheses.T_target_source, pair.source, pair.target, config.shortlist
         )
         starts = shortlist.shortlist(hypotheses, correspondences, by_agreement, config)
-    result = _choose_best(pair, starts)
+        poses, promise = _look_roughly(pair, starts)
+    result = _choose_best(pair, poses[promise > promise[0] - _HOPELESS])
     if result.accepted or config.shortlist.rough_poses == 0:
         return result
     return _choose_best(pair, np.concatenate((_search_widely(pair, by_agreement), starts[:1])))
+
+
+def _look_roughly(pair: Pair, starts: Array) -> tuple[Array, Array]:
+    """Poses (S, 4, 4) after ICP with a few hundred points, and what they promise (S,) with few points of both scans.
+
+    Best first. Few points overstate what is blocked, of all poses alike: they rank, and only far apart they tell.
+    """
+    limits, view = pair.config.shortlist, pair.config.sight_view
+    T = np.array([shortlist.refine_roughly(start, pair.source, pair.target, limits) for start in starts])
+    source, target = (thinned_scan(scan, limits.rough_view_points) for scan in (pair.source, pair.target))
+    looks = on_all_processors(lambda pose: gather_evidence(source, target, pose, view), list(T))
+    promise = np.array([pair.promise(evidence) for evidence in looks])
+    order = np.argsort(-promise, kind="stable")
+    return T[order], promise[order]
 
 
 def _choose_best(pair: Pair, starts: Array) -> RegistrationResult:
@@ -156,10 +180,7 @@ def _search_widely(pair: Pair, by_agreement: Array) -> Array:
     limits = pair.config.shortlist
     with pair.watch.stage("wide_search"):
         starts = by_agreement[shortlist.select_distinct(by_agreement, limits, limits.rough_poses)]
-        T = np.array([shortlist.refine_roughly(start, pair.source, pair.target, limits) for start in starts])
-        source, target = (thinned_scan(scan, limits.rough_view_points) for scan in (pair.source, pair.target))
-        looks = on_all_processors(lambda pose: gather_evidence(source, target, pose, pair.config.sight_view), list(T))
-        T = T[np.argsort([-pair.promise(evidence) for evidence in looks], kind="stable")]
+        T, _ = _look_roughly(pair, starts)
         pair.counts["searched"] = len(T)
         return np.asarray(T[shortlist.select_distinct(T, limits, limits.max_poses)])
 
@@ -173,7 +194,7 @@ def verify_svc(pair: Pair, T: Array) -> RegistrationResult:
         return pair.answer(T, pair.look(T), decision.moved_away(angle, distance))
     evidence = pair.look(refined)
     if decision.decide(evidence, pair.config.decision).verdict is not Verdict.ACCEPTED:
-        return _judge(pair, Settled(refined, evidence, [], []), [])
+        return _judge(pair, Settled(refined, evidence, None, [], []), [])
     return _judge(pair, _with_slips(pair, refined, evidence), [])
 
 
@@ -187,6 +208,7 @@ class Settled:
 
     T_target_source: Array
     evidence: SightViewEvidence
+    contact: SurfaceContact | None
     far_slips: list[tuple[Array, SightViewEvidence]]
     near_slips: list[tuple[Array, SightViewEvidence]]
 
@@ -196,7 +218,7 @@ def _judge(pair: Pair, settled: Settled, others: list[SightViewEvidence]) -> Reg
     far, near = ([evidence for _, evidence in slips] for slips in (settled.far_slips, settled.near_slips))
     decided = decision.decide(settled.evidence, pair.config.decision)
     decided = decision.doubt(decided, settled.evidence, decision.Doubts(others, far, near), pair.config.decision)
-    return pair.answer(settled.T_target_source, settled.evidence, decided)
+    return pair.answer(settled.T_target_source, settled.evidence, decided, settled.contact)
 
 
 def _settle(pair: Pair, T: Array) -> Settled:
@@ -214,13 +236,15 @@ def _settle(pair: Pair, T: Array) -> Settled:
 
 def _with_slips(pair: Pair, T: Array, evidence: SightViewEvidence) -> Settled:
     config, best = pair.config.decision, decision.score(evidence)
-    directions = pair.contact(T).weak_directions(config.weak_constraint)
+    contact = pair.contact(T)
+    directions = contact.weak_directions(config.weak_constraint)
 
     def slips(distance_m: float, least_score: float) -> list[tuple[Array, SightViewEvidence]]:
         poses = [shift(T, direction, sign * distance_m) for direction in directions for sign in (-1.0, 1.0)]
         return list(zip(poses, pair.look_at_all(poses, decision.score_allowance(least_score)), strict=True))
 
-    return Settled(T, evidence, slips(config.slip_m, config.slip_score_ratio * best), slips(0.5 * config.slip_m, best))
+    far, near = slips(config.slip_m, config.slip_score_ratio * best), slips(0.5 * config.slip_m, best)
+    return Settled(T, evidence, contact, far, near)
 
 
 Chooser = Callable[[Pair, Correspondences, HypothesisSet], RegistrationResult]

@@ -35,12 +35,15 @@ def find_near(T: Array, pose: Array, config: ShortlistConfig) -> NDArray[np.bool
 
 
 def refine_on_correspondences(
-    T: Array, correspondences: Correspondences, hypotheses: HypothesisConfig, config: ShortlistConfig
+    T: Array, correspondences: Correspondences, hypotheses: HypothesisConfig, config: ShortlistConfig, rounds: int = -1
 ) -> Array:
-    """Weighted Kabsch on the inliers, weights 1 / (1 + (e / eps)^2), until their number stops changing."""
+    """Weighted Kabsch on the inliers, weights 1 / (1 + (e / eps)^2), until their number stops changing.
+
+    At most that many rounds; as many as configured unless told otherwise.
+    """
     x, y = correspondences.source_points, correspondences.target_points
     previous = -1
-    for _ in range(config.correspondence_rounds):
+    for _ in range(config.correspondence_rounds if rounds < 0 else rounds):
         residual = np.linalg.norm(se3.apply(T, x) - y, axis=1)
         inlier = residual < hypotheses.inlier_threshold_m
         if inlier.sum() in (previous, 0):
@@ -102,11 +105,13 @@ def shortlist(
     T = hypotheses.T_target_source
     by_rank = T[select_distinct(T, limits, max(1, limits.max_poses // 4))]
     first = by_agreement[select_distinct(by_agreement, limits, limits.max_poses)]
-    refined = np.array([
-        refine_on_correspondences(pose, correspondences, config.hypotheses, limits)
-        for pose in np.concatenate((by_rank, first))
-    ])  # fmt: skip
-    return refined[select_distinct(refined, limits, limits.max_poses)]
+    poses = np.concatenate((by_rank, first))
+    for rounds in (min(3, limits.correspondence_rounds), limits.correspondence_rounds):  # many soon become one
+        poses = np.array(
+            [refine_on_correspondences(T, correspondences, config.hypotheses, limits, rounds) for T in poses]
+        )
+        poses = poses[select_distinct(poses, limits, limits.max_poses)]
+    return poses
 
 
 def thinned_cloud(scan: PreparedScan, num_points: int) -> Any:

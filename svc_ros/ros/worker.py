@@ -48,9 +48,20 @@ class PairJob:
         return DropJob(self.source.label, self.target.label, reason, detail)
 
 
+@dataclass(frozen=True, eq=False)
+class ScanJob:
+    """A scan of a stream that waits for its turn."""
+
+    cloud: Cloud
+
+    def drop(self, reason: Reason, detail: str) -> DropJob:
+        """The same scan, given up; a scan that was compared with nothing is its own target."""
+        return DropJob(self.cloud.label, self.cloud.label, reason, detail)
+
+
 @dataclass(frozen=True)
 class DropJob:
-    """A pair, or a cloud without a partner, that gets a decision and no registration."""
+    """A pair, a scan, or a cloud without a partner, that gets a decision and no computation."""
 
     source: CloudLabel | None
     target: CloudLabel | None
@@ -58,17 +69,25 @@ class DropJob:
     detail: str
 
 
-Job = PairJob | DropJob
+@dataclass(frozen=True, eq=False)
+class CallJob:
+    """Something to do between two jobs, on the worker's thread; it gets no decision."""
+
+    call: Callable[[], None]
+
+
+Job = PairJob | ScanJob | DropJob
 
 
 class JobQueue:
-    """Jobs in order of arrival. At most `capacity` pairs wait: the oldest turns into a `superseded` drop in its place.
+    """Jobs in order of arrival. At most `capacity` of them wait to be computed: the oldest turns into a `superseded`
+    drop in its place.
 
     A capacity of None bounds nothing. Safe for use from several threads.
     """
 
     def __init__(self) -> None:
-        self._jobs: deque[Job] = deque()
+        self._jobs: deque[Job | CallJob] = deque()
         self._changed = threading.Condition()
         self._closed = False
 
@@ -76,24 +95,31 @@ class JobQueue:
         """Append a job and make room."""
         with self._changed:
             self._jobs.append(job)
-            waiting = [i for i, j in enumerate(self._jobs) if isinstance(j, PairJob)]
+            waiting = [i for i, j in enumerate(self._jobs) if isinstance(j, PairJob | ScanJob)]
             surplus = 0 if capacity is None else len(waiting) - capacity
             for i in waiting[: max(surplus, 0)]:
                 old = self._jobs[i]
-                assert isinstance(old, PairJob)
-                self._jobs[i] = old.drop(Reason.SUPERSEDED, "a newer pair came before this one was started")
+                assert isinstance(old, PairJob | ScanJob)
+                self._jobs[i] = old.drop(Reason.SUPERSEDED, "a newer one came before this one was started")
             self._changed.notify()
 
-    def get(self) -> Job | None:
+    def call_next(self, call: Callable[[], None]) -> None:
+        """Let the worker call this before all jobs that wait."""
+        with self._changed:
+            self._jobs.appendleft(CallJob(call))
+            self._changed.notify()
+
+    def get(self) -> Job | CallJob | None:
         """Wait for the next job; None when the queue is closed."""
         with self._changed:
             self._changed.wait_for(lambda: self._jobs or self._closed)
             return None if self._closed else self._jobs.popleft()
 
     def give_up(self, reason: Reason, detail: str) -> None:
-        """Turn every pair that waits into a drop."""
+        """Turn everything that waits to be computed into a drop."""
         with self._changed:
-            self._jobs = deque(j.drop(reason, detail) if isinstance(j, PairJob) else j for j in self._jobs)
+            given_up = (j.drop(reason, detail) if isinstance(j, PairJob | ScanJob) else j for j in self._jobs)
+            self._jobs = deque(given_up)
 
     def close(self) -> None:
         """Let `get` return None from now on."""
@@ -102,16 +128,16 @@ class JobQueue:
             self._changed.notify_all()
 
     @property
-    def num_pairs(self) -> int:
-        """Pairs that wait."""
+    def num_waiting(self) -> int:
+        """Pairs and scans that wait to be computed."""
         with self._changed:
-            return sum(isinstance(job, PairJob) for job in self._jobs)
+            return sum(isinstance(job, PairJob | ScanJob) for job in self._jobs)
 
 
 class Worker:
     """Runs `prepare` once and then `process` for every job, on a thread of its own.
 
-    What `process` raises is logged, and the next job is processed.
+    What `process` or a call raises is logged, and the next job is processed.
     """
 
     def __init__(self, process: Callable[[Job], None], prepare: Callable[[], None]) -> None:
@@ -135,7 +161,10 @@ class Worker:
         self._guarded(self._prepare)
         self.ready.set()
         while (job := self.jobs.get()) is not None:
-            self._guarded(self._process, job)
+            if isinstance(job, CallJob):
+                self._guarded(job.call)
+            else:
+                self._guarded(self._process, job)
 
     def _guarded(self, call: Callable[..., None], *args: Any) -> None:
         try:
