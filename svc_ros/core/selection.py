@@ -42,12 +42,16 @@ class Pair:
         with self.watch.stage("sight_view"):
             return gather_evidence(self.source, self.target, T, self.config.sight_view)
 
-    def look_at_all(self, poses: Sequence[Array], allowance: Allowance) -> list[SightViewEvidence]:
+    def look_at_all(self, poses: Sequence[Array], allowances: Sequence[Allowance]) -> list[SightViewEvidence]:
         """The evidence of each pose, on all processors; a look ends early where more is blocked than allowed."""
         view = self.config.sight_view
         with self.watch.stage("sight_view"):
-            on_all_processors(lambda scan: index(scan, view), (self.source, self.target))
-            return on_all_processors(lambda T: gather_evidence(self.source, self.target, T, view, allowance), poses)
+            for scan in (self.source, self.target):
+                index(scan, view)
+            return on_all_processors(
+                lambda job: gather_evidence(self.source, self.target, job[0], view, job[1]),
+                zip(poses, allowances, strict=True),
+            )
 
     def promise(self, evidence: SightViewEvidence) -> float:
         """What poses are ranked by: the smallest margin that the decision will look at."""
@@ -166,7 +170,7 @@ def _choose_best(pair: Pair, starts: Array) -> RegistrationResult:
 
 def _look_at_all(pair: Pair, poses: Array) -> list[SightViewEvidence]:
     """Evidence of poses (S, 4, 4): whole for every pose that may be accepted, and for all if none may be."""
-    evidence = pair.look_at_all(list(poses), decision.blocked_allowance(pair.config.decision))
+    evidence = pair.look_at_all(list(poses), [decision.blocked_allowance(pair.config.decision)] * len(poses))
     if any(e.complete and pair.promise(e) > 0 for e in evidence):
         return evidence
     return [e if e.complete else pair.look(T) for e, T in zip(evidence, poses, strict=True)]
@@ -238,13 +242,14 @@ def _with_slips(pair: Pair, T: Array, evidence: SightViewEvidence) -> Settled:
     config, best = pair.config.decision, decision.score(evidence)
     contact = pair.contact(T)
     directions = contact.weak_directions(config.weak_constraint)
-
-    def slips(distance_m: float, least_score: float) -> list[tuple[Array, SightViewEvidence]]:
-        poses = [shift(T, direction, sign * distance_m) for direction in directions for sign in (-1.0, 1.0)]
-        return list(zip(poses, pair.look_at_all(poses, decision.score_allowance(least_score)), strict=True))
-
-    far, near = slips(config.slip_m, config.slip_score_ratio * best), slips(0.5 * config.slip_m, best)
-    return Settled(T, evidence, contact, far, near)
+    far, near = (
+        [shift(T, direction, sign * distance_m) for direction in directions for sign in (-1.0, 1.0)]
+        for distance_m in (config.slip_m, 0.5 * config.slip_m)
+    )
+    least = (decision.score_allowance(share * best) for share in (config.slip_score_ratio, 1.0))
+    allowances = [allowance for allowance in least for _ in far]
+    slips = list(zip(far + near, pair.look_at_all(far + near, allowances), strict=True))
+    return Settled(T, evidence, contact, slips[: len(far)], slips[len(far) :])
 
 
 Chooser = Callable[[Pair, Correspondences, HypothesisSet], RegistrationResult]
