@@ -50,7 +50,7 @@ def test_newest_pair_supersedes_the_oldest_in_its_place():
     queue = JobQueue()
     for stamp in (1, 2, 3):
         queue.put(small_pair(stamp), capacity=2)
-    assert queue.num_pairs == 2
+    assert queue.num_waiting == 2
     assert stamps_and_kinds(queue, 3) == [("DropJob", 1), ("PairJob", 2), ("PairJob", 3)]
 
 
@@ -58,7 +58,7 @@ def test_queue_without_bound_keeps_every_pair():
     queue = JobQueue()
     for stamp in range(50):
         queue.put(small_pair(stamp), capacity=None)
-    assert queue.num_pairs == 50
+    assert queue.num_waiting == 50
 
 
 def test_drops_never_take_the_place_of_a_pair():
@@ -66,7 +66,7 @@ def test_drops_never_take_the_place_of_a_pair():
     queue.put(small_pair(1), capacity=1)
     for stamp in (2, 3, 4):
         queue.put(small_pair(stamp).drop(Reason.TIME_SKEW, ""), capacity=1)
-    assert queue.num_pairs == 1
+    assert queue.num_waiting == 1
 
 
 def test_given_up_pairs_keep_their_place_and_get_the_reason():

@@ -57,8 +57,9 @@ class LoopCloser:
     @property
     def keyframe_poses(self) -> Trajectory:
         """Odometry poses of all keyframes since the last reset, also of those that are no longer kept."""
-        poses = np.array(list(self._poses.values())).reshape(-1, 4, 4)
-        return Trajectory(np.array(list(self._poses), np.int64), poses)
+        stamped = list(self._poses.items())  # one step, so that another thread may ask while scans are added
+        poses = np.array([pose for _, pose in stamped]).reshape(-1, 4, 4)
+        return Trajectory(np.array([stamp for stamp, _ in stamped], np.int64), poses)
 
     @property
     def num_keyframes(self) -> int:
@@ -142,7 +143,7 @@ class LoopCloser:
         source, target = this.scan, candidate.target.scan
         return StreamDecision(
             result, source.stamp_ns, target.stamp_ns, source.frame_id, target.frame_id, this.T_odom_scan,
-            candidate.origin,
+            candidate.origin, (source, target), candidate.target.T_odom_scan,
         )  # fmt: skip
 
 

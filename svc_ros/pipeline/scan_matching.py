@@ -32,6 +32,7 @@ class _Attempt:
     result: RegistrationResult
     target: Keyframe
     origin: str
+    scans: tuple[PreparedScan, PreparedScan]
 
 
 class ScanMatcher:
@@ -101,7 +102,7 @@ class ScanMatcher:
         yield from self._judged(self._turned(motion, this), this, current, "turn")
         for target in self._recovery_targets(this):
             result = register_pair(this.features, target.features, self._config)
-            yield _Attempt(self._trusted(result, target), target, "registration")
+            yield _Attempt(self._trusted(result, target), target, "registration", (this.scan, target.scan))
 
     def _judged(self, motion: Motion, this: Keyframe, current: Keyframe, origin: str) -> Iterator[_Attempt]:
         """The motion against the keyframe, and against the last accepted scan where the keyframe sees too little.
@@ -117,8 +118,9 @@ class ScanMatcher:
     def _verified(self, motion: Motion, this: Keyframe, target: Keyframe, origin: str) -> _Attempt:
         T_target_source = se3.invert(_pose(target)) @ motion.T_odom_scan
         num = self._config.scan_matching.verify_points
-        result = verify(_thinned(this.scan, num), _thinned(target.scan, num), T_target_source, self._config)
-        return _Attempt(self._trusted(result, target), target, origin)
+        scans = _thinned(this.scan, num), _thinned(target.scan, num)
+        result = verify(*scans, T_target_source, self._config)
+        return _Attempt(self._trusted(result, target), target, origin, scans)
 
     def _trusted(self, result: RegistrationResult, target: Keyframe) -> RegistrationResult:
         """The result as far as odometry can be built on it.
@@ -158,7 +160,8 @@ class ScanMatcher:
             Verdict.ACCEPTED, Reason.OK, self._config.method, origin, origin, np.diag(variances), 1.0,
             detail="the first scan: odometry begins here",
         )  # fmt: skip
-        return self._accept(motion, this, _Attempt(result, Keyframe(this.scan, origin, self._config), "start"))
+        itself = Keyframe(this.scan, origin, self._config)
+        return self._accept(motion, this, _Attempt(result, itself, "start", (this.scan, this.scan)))
 
     def _accept(self, motion: Motion, this: Keyframe, attempt: _Attempt) -> StreamDecision:
         """Go on from the judged pose."""
@@ -199,5 +202,5 @@ def _decision(this: Keyframe, attempt: _Attempt) -> StreamDecision:
     source, target = this.scan, attempt.target.scan
     return StreamDecision(
         attempt.result, source.stamp_ns, target.stamp_ns, source.frame_id, target.frame_id,
-        this.T_odom_scan if attempt.result.accepted else None, attempt.origin,
+        this.T_odom_scan if attempt.result.accepted else None, attempt.origin, attempt.scans, _pose(attempt.target),
     )  # fmt: skip

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from svc_ros.core.config import Config
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
-from svc_ros.core.scan import Array
+from svc_ros.core.scan import Array, PreparedScan
 from svc_ros.pipeline.decide import dropped, refused
 
 _MAX_LATE_NS = 1_000_000_000  # no transport disorders scans by more; what is farther back is a jump in time
@@ -21,6 +21,8 @@ class StreamDecision:
     loop closure as odometry said, whatever the verdict;
     origin: where the judged pose came from (start, motion, turn, registration, odometry, place, given), empty where
     nothing was judged. A scan that was compared with nothing is its own target.
+    scans: (source, target) as they were judged, which the evidence's indices point into; T_odom_target: (4, 4), where
+    the target stands in the odometry frame. Both None where nothing was judged, the latter also without odometry.
     """
 
     result: RegistrationResult
@@ -30,6 +32,8 @@ class StreamDecision:
     target_frame: str
     T_odom_source: Array | None = None
     origin: str = ""
+    scans: tuple[PreparedScan, PreparedScan] | None = None
+    T_odom_target: Array | None = None
 
 
 def refuse_scan(stamp_ns: int, frame_id: str, error: Exception, config: Config) -> StreamDecision:

@@ -175,7 +175,7 @@ class RegistrationNode(Node):
             "worker": {
                 "ready": self._worker.ready.is_set(),
                 "enabled": self._enabled,
-                "queue": self._worker.jobs.num_pairs,
+                "queue": self._worker.jobs.num_waiting,
                 "queue_size": self._svc.settings.queue_size,
                 "features_reused": self._registrar.num_reused,
             },
