@@ -19,12 +19,14 @@ from rclpy.parameter import Parameter  # noqa: E402
 from ros_bench import SECOND, Bench, cloud, matrix  # noqa: E402
 from sensor_msgs.msg import PointCloud2  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
+from visualization_msgs.msg import Marker, MarkerArray  # noqa: E402
 
 from svc_ros.core.result import Reason, RegistrationResult, Verdict  # noqa: E402
 from svc_ros.core.se3 import apply, pose_error  # noqa: E402
 from svc_ros.io.point_cloud2 import scan_from_cloud  # noqa: E402
 from svc_ros.ros.collector import DecisionCollector, spin_until  # noqa: E402
 from svc_ros.ros.conversions import pose_message  # noqa: E402
+from svc_ros.ros.looks import MAX_LINES  # noqa: E402
 from svc_ros.ros.processes import ChildProcess, local_environment, own_domain_id  # noqa: E402
 
 pytestmark = pytest.mark.dds
@@ -205,6 +207,25 @@ def test_aligned_and_blocked_clouds_are_in_the_target_frame_while_somebody_looks
     points = scan_from_cloud(aligned).scan.points
     assert np.abs(points - apply(pose_between(1, 0), SCANS[1])).max() < 0.2
     assert [f.name for f in blocked.fields] == ["x", "y", "z", "from_source"]
+
+
+def test_sight_lines_are_drawn_while_somebody_looks(bench):
+    arrays = []
+    subscription = bench.node.create_subscription(MarkerArray, "/svc_registration/sight_lines", arrays.append, 10)
+    bench.settle(0.5)
+    bench.decide(cloud(SCANS[1], 88.5, "moved"), cloud(SCANS[0], 88.5, "fixed"))
+    assert spin_until(bench.executor, lambda: arrays, 5.0)
+    bench.node.destroy_subscription(subscription)
+    first, *markers = arrays[0].markers
+    assert first.action == Marker.DELETEALL
+    assert {m.ns for m in markers} >= {"target_clear", "source_clear"}
+    for marker in markers:
+        assert marker.header.frame_id == "fixed"
+        assert 0 < len(marker.points) <= 2 * MAX_LINES
+        assert (marker.color.g > marker.color.r) == marker.ns.endswith("clear")
+    clear = next(m for m in markers if m.ns == "source_clear")
+    sensor = np.array([clear.points[0].x, clear.points[0].y, clear.points[0].z])
+    assert np.linalg.norm(sensor - pose_between(1, 0)[:3, 3]) < 0.1
 
 
 def test_good_guess_is_verified_and_spares_the_search(bench):

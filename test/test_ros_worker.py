@@ -134,8 +134,8 @@ def test_same_cloud_under_another_stamp_is_described_once():
     first = registrar.decide(PairJob(cloud(SCANS[1], 1), cloud(SCANS[0], 1)), CONFIG)
     second = registrar.decide(PairJob(cloud(SCANS[2], 2), cloud(SCANS[1], 2)), CONFIG)
     assert registrar.num_reused == 1
-    assert second.target_work is first.source_work
-    registrar.forget()
+    assert second.look.target is first.look.source
+    registrar.reset()
     registrar.decide(PairJob(cloud(SCANS[2], 2), cloud(SCANS[1], 2)), CONFIG)
     assert registrar.num_reused == 1
 

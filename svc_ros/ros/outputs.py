@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import json
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Bool
 
-from svc_ros.core.se3 import apply
 from svc_ros.io.results import decision_values
-from svc_ros.ros.conversions import cloud_message, decision_message, pose_message, transform_message
+from svc_ros.ros.conversions import decision_message, pose_message, transform_message
+from svc_ros.ros.decision import Decision
 from svc_ros.ros.frames import TransformOutput
+from svc_ros.ros.looks import LookOutputs
 from svc_ros.ros.parameters import NodeSettings
-from svc_ros.ros.registrar import Decision
 from svc_ros.ros.worker import CloudLabel
 
 _RELIABLE = QoSProfile(depth=100)
-_CLOUDS = QoSProfile(depth=2)
 _LAST_DECISION = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
@@ -39,8 +36,7 @@ class Outputs:
         self._rejected = node.create_publisher(Bool, "~/rejected", _RELIABLE)
         self._transform = node.create_publisher(TransformStamped, "~/transform", _RELIABLE)
         self._pose = node.create_publisher(PoseWithCovarianceStamped, "~/pose", _RELIABLE)
-        self._aligned = node.create_publisher(PointCloud2, "~/aligned", _CLOUDS)
-        self._blocked = node.create_publisher(PointCloud2, "~/blocked_points", _CLOUDS)
+        self._looks = LookOutputs(node)
         self._tf = TransformOutput(node) if settings.publish_tf else None
 
     def publish(self, decision: Decision, settings: NodeSettings) -> None:
@@ -48,7 +44,7 @@ class Outputs:
         source, target = decision.source, decision.target
         if decision.result.accepted and source is not None and target is not None:
             self._publish_pose(decision, source, target, settings)
-        self._publish_clouds(decision)
+        self._looks.publish(decision)
         self._rejected.publish(Bool(data=not decision.result.accepted))
         self._publish_decision(decision)
 
@@ -69,22 +65,6 @@ class Outputs:
         if self._decision.get_subscription_count():
             self._decision.wait_for_all_acked(_ACKNOWLEDGE)
         self._decision.publish(message)
-
-    def _publish_clouds(self, decision: Decision) -> None:
-        """Clouds to look at, in the target's frame, only for those who look."""
-        source, target = decision.source_work, decision.target_work
-        T = decision.result.best_candidate
-        if source is None or target is None or T is None or decision.source is None or decision.target is None:
-            return
-        stamp_ns, frame_id = decision.source.stamp_ns, decision.target.frame_id
-        if decision.result.accepted and self._aligned.get_subscription_count():
-            self._aligned.publish(cloud_message(apply(T, source.scan.points), stamp_ns, frame_id))
-        if decision.result.evidence is not None and self._blocked.get_subscription_count():
-            near = target.features.keypoints[decision.result.evidence.source_in_target.blocked_idx]
-            far = source.features.keypoints[decision.result.evidence.target_in_source.blocked_idx]
-            points = np.concatenate([near, apply(T, far)])
-            from_source = np.repeat([0.0, 1.0], [len(near), len(far)])
-            self._blocked.publish(cloud_message(points, stamp_ns, frame_id, {"from_source": from_source}))
 
 
 def _values(decision: Decision) -> dict[str, str]:
