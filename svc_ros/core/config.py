@@ -138,7 +138,8 @@ class DecisionConfig(Group):
     """When a refined pose is accepted, rejected or left undecided; one set of borders for all sensors.
 
     Chosen from the values that benchmarks/decision.py measures on right and wrong labelled poses of every set, and from
-    simulated corridors and traffic; docs and limits in benchmarks/README.md.
+    simulated corridors, traffic and look-alike rooms (full_tight: on real sets right poses have 0.66 to 0.96, rooms of
+    different buildings 0.22 to 0.70); docs and limits in benchmarks/README.md.
     """
 
     min_oriented_overlap: float = value(0.10, "less oriented overlap is too little to accept", "", 1e-3, 1.0)
@@ -148,7 +149,9 @@ class DecisionConfig(Group):
     max_free_blocked_per_overlap: float = value(0.15, "filled share of free space over oriented overlap", "", 1e-3, 10)
     min_free: int = value(100, "fewer directions in which nothing was met count for nothing", "", 1, 1_000_000)
     min_constraint: float = value(0.015, "less agreement across two directions is too little", "", 1e-4, 1.0)
+    full_tight: float = value(0.8, "with fewer agreeing points within tau / 4 the blocked borders shrink", "", 0.0, 0.99)
     clear_overlap: float = value(0.5, "so much oriented overlap allows for more moving objects", "", 0.0, 1.0)
+    min_tight_where_clear: float = value(0.9, "if so many of them are within tau / 4", "", 0.0, 1.0)
     blocked_factor_where_clear: float = value(1.8, "then: factor on both blocked borders", "", 1.0, 10.0)
     weak_constraint: float = value(0.13, "surfaces that resist a shift less than this call for more", "", 0.0, 1.0)
     max_blocked_where_weak: float = value(0.045, "then: blocked share over oriented overlap", "", 1e-3, 10.0)

@@ -66,18 +66,26 @@ def measure_margins(evidence: SightViewEvidence, config: DecisionConfig) -> Marg
     """Compare the evidence with the borders; what blocks and what is opposed counts in shares of what agrees.
 
     Where the agreeing surfaces hardly resist a shift in some direction (a corridor), many wrong poses agree; there
-    the sight lines must be freer and the surfaces must lie on each other tightly. Where very much agrees from all
+    the sight lines must be freer and the surfaces must lie on each other tightly. Elsewhere, too, a room that only
+    looks alike agrees loosely: the less tightly, the freer the lines must be. Where very much agrees tightly from all
     sides, which no wrong pose brings about, more traffic may stand in the way.
     """
     plain = _plain_margins(evidence, config)
     if evidence.weakest_constraint >= config.weak_constraint:
-        clear = evidence.oriented_overlap_ratio >= config.clear_overlap
-        allowance = math.log(config.blocked_factor_where_clear) if clear else 0.0
-        return dataclasses.replace(plain, free=min(plain.free + allowance, _free_space_margin(evidence, config)))
+        free = plain.free + _allowance(evidence, config)
+        return dataclasses.replace(plain, free=min(free, _free_space_margin(evidence, config)))
     tight = _log_odds(evidence.tight_ratio) - _log_odds(config.min_tight_where_weak)
     free = _free_margin(evidence, config.max_blocked_where_weak, config)
     free = min(free, _free_space_margin(evidence, config))
     return Margins(free=free, same_side=plain.same_side, overlap=min(plain.overlap, tight))
+
+
+def _allowance(evidence: SightViewEvidence, config: DecisionConfig) -> float:
+    """Logarithm of the factor on the blocked borders."""
+    tight = evidence.tight_ratio
+    if evidence.oriented_overlap_ratio >= config.clear_overlap and tight >= config.min_tight_where_clear:
+        return math.log(config.blocked_factor_where_clear)
+    return min(_log_odds(tight) - _log_odds(config.full_tight), 0.0)
 
 
 def _plain_margins(evidence: SightViewEvidence, config: DecisionConfig) -> Margins:
@@ -122,9 +130,10 @@ def decide(evidence: SightViewEvidence, config: DecisionConfig) -> Decision:
         detail = f"free sight lines, oriented overlap {agreeing:.3f}"
         return Decision(Verdict.ACCEPTED, Reason.OK, probability, detail)
     if min(_plain_margins(evidence, config).smallest, _free_space_margin(evidence, config)) > 0:
+        blocked = max(evidence.source_in_target.blocked_ratio, evidence.target_in_source.blocked_ratio)
         detail = (
-            f"surfaces that resist a shift by {evidence.weakest_constraint:.3f} only: blocked shares or contact "
-            f"(tight {evidence.tight_ratio:.2f}) leave it open"
+            f"surfaces that resist a shift by {evidence.weakest_constraint:.3f}, {evidence.tight_ratio:.2f} of them in "
+            f"tight contact: too little for blocked sight lines {blocked:.3f}"
         )
         return Decision(Verdict.UNDECIDED, Reason.INSUFFICIENT_EVIDENCE, probability, detail)
     if margins.overlap <= min(margins.free, margins.same_side):
