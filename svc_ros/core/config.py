@@ -149,7 +149,7 @@ class DecisionConfig(Group):
     max_free_blocked_per_overlap: float = value(0.15, "filled share of free space over oriented overlap", "", 1e-3, 10)
     min_free: int = value(100, "fewer directions in which nothing was met count for nothing", "", 1, 1_000_000)
     min_constraint: float = value(0.015, "less agreement across two directions is too little", "", 1e-4, 1.0)
-    full_tight: float = value(0.8, "with fewer agreeing points within tau / 4 the blocked borders shrink", "", 0.0, 0.99)
+    full_tight: float = value(0.8, "with fewer agreeing points within tau / 4 those borders shrink", "", 0.0, 0.99)
     clear_overlap: float = value(0.5, "so much oriented overlap allows for more moving objects", "", 0.0, 1.0)
     min_tight_where_clear: float = value(0.9, "if so many of them are within tau / 4", "", 0.0, 1.0)
     blocked_factor_where_clear: float = value(1.8, "then: factor on both blocked borders", "", 1.0, 10.0)

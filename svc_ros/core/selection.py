@@ -23,7 +23,6 @@ from svc_ros.core.se3 import pose_error
 from svc_ros.core.sight_view import Allowance, gather_evidence, index
 from svc_ros.core.stopwatch import Stopwatch
 
-
 _HOPELESS = float(np.log(8.0))  # a pose that promises less by this can neither win nor cast doubt on the winner
 
 
