@@ -194,6 +194,7 @@ def test_pictures_are_small_pngs():
 def test_topics_and_services_are_those_of_the_node(monkeypatch):
     rclpy = pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
     from rclpy.context import Context
+    from rclpy.parameter import Parameter
 
     from svc_ros.ros.processes import own_domain_id
     from svc_ros.ros.registration_node import RegistrationNode
@@ -201,19 +202,26 @@ def test_topics_and_services_are_those_of_the_node(monkeypatch):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     context = Context()
     rclpy.init(context=context, domain_id=own_domain_id(7))
-    node = RegistrationNode(context=context, enable_rosout=False, start_parameter_services=False)
+    inputs, outputs, services = set(), set(), {}
     try:
-        inputs = [described(s, "in") for s in node.subscriptions]
-        outputs = [described(p, "out") for p in node.publishers if p.topic_name != "/parameter_events"]
-        services = {
-            absolute(s.srv_name): full_type(s.srv_type) for s in node.services if "std_srvs" in s.srv_type.__module__
-        }
+        for mode in ("pair", "scan_matching", "loop_closure"):
+            given = [Parameter("mode", value=mode), Parameter("odometry", value="topic")]
+            node = RegistrationNode(
+                context=context, parameter_overrides=given, enable_rosout=False, start_parameter_services=False
+            )
+            inputs |= {described(s, "in") for s in node.subscriptions}
+            outputs |= {described(p, "out") for p in node.publishers if p.topic_name != "/parameter_events"}
+            services |= {
+                absolute(s.srv_name): full_type(s.srv_type)
+                for s in node.services
+                if "std_srvs" in s.srv_type.__module__
+            }
+            node.stop(60.0)
+            node.destroy_node()
     finally:
-        node.stop(60.0)
-        node.destroy_node()
         context.try_shutdown()
     told = [(absolute(row[0]), row[1], row[2].strip("`"), row[3]) for row in rows("topics")]
-    assert sorted(told) == sorted(inputs + outputs)
+    assert sorted(told) == sorted(inputs | outputs)
     assert {absolute(row[0]): row[1].strip("`") for row in rows("services")} == services
 
 

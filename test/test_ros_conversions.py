@@ -18,7 +18,7 @@ from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.se3 import make_pose
 from svc_ros.io.point_cloud2 import scan_from_cloud
 from svc_ros.ros import conversions
-from svc_ros.ros.frames import SensorOrigins, TransformOutput
+from svc_ros.ros.frames import Frames, TransformOutput
 from svc_ros.ros.parameters import NodeSettings
 
 T = make_pose([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], [1.0, -2.0, 0.5])
@@ -58,7 +58,7 @@ def test_pose_of_a_rejected_result_is_refused():
 def test_guess_without_a_rotation_is_refused(field, value):
     message = PoseWithCovarianceStamped()
     setattr(message.pose.pose.orientation, field, value)
-    with pytest.raises(InputError, match="initial guess"):
+    with pytest.raises(InputError, match="pose: expected"):
         conversions.pose_from_message(message)
 
 
@@ -93,13 +93,13 @@ def test_decision_is_ok_warn_or_error(result, level, message):
 
 def test_sensor_in_the_cloud_frame_needs_no_tf():
     settings = NodeSettings(sensor_origin=(0.0, 0.0, 1.7))
-    assert SensorOrigins(None, settings).lookup(settings, "base_link", STAMP).tolist() == [0.0, 0.0, 1.7]
+    assert Frames(None, settings).sensor_origin(settings, "base_link", STAMP).tolist() == [0.0, 0.0, 1.7]
 
 
 def test_sensor_frame_without_tf2_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "tf2_ros", None)
     with pytest.raises(MissingDependencyError, match=r"ros-jazzy-tf2-ros-py.*sensor_origin"):
-        SensorOrigins(None, NodeSettings(sensor_frame="lidar"))
+        Frames(None, NodeSettings(sensor_frame="lidar"))
 
 
 @pytest.fixture
@@ -112,7 +112,8 @@ def buffer(monkeypatch):
             if (target, source) not in known:
                 raise LookupError("not in the tree")
             x, y, z = known[target, source]
-            return SimpleNamespace(transform=SimpleNamespace(translation=SimpleNamespace(x=x, y=y, z=z)))
+            turn = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)
+            return SimpleNamespace(transform=SimpleNamespace(translation=SimpleNamespace(x=x, y=y, z=z), rotation=turn))
 
     module = ModuleType("tf2_ros")
     module.Buffer, module.TransformListener = Buffer, lambda buffer, node: object()
@@ -122,14 +123,14 @@ def buffer(monkeypatch):
 @pytest.mark.usefixtures("buffer")
 def test_sensor_origin_by_tf():
     settings = NodeSettings(sensor_frame="lidar")
-    assert SensorOrigins(None, settings).lookup(settings, "base_link", STAMP).tolist() == [0.1, 0.2, 1.5]
+    assert Frames(None, settings).sensor_origin(settings, "base_link", STAMP).tolist() == [0.1, 0.2, 1.5]
 
 
 @pytest.mark.usefixtures("buffer")
 def test_missing_transform_names_both_frames():
     settings = NodeSettings(sensor_frame="lidar")
-    with pytest.raises(TransformUnavailableError, match="'lidar' to 'odom' at 1700000000123456789 ns: not in the tree"):
-        SensorOrigins(None, settings).lookup(settings, "odom", STAMP)
+    with pytest.raises(TransformUnavailableError, match=r"'lidar' to 'odom' at 1700000000\.123456789 s: not in the"):
+        Frames(None, settings).sensor_origin(settings, "odom", STAMP)
 
 
 def test_publish_tf_without_tf2_msgs_says_what_to_install(monkeypatch):

@@ -50,7 +50,8 @@ def test_names_are_those_of_the_node(tree):
     texts = {n.value for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)}
     assert {"svc_ros", "registration_node", "svc_registration", "source_points", "target_points"} <= texts
     assert 'NODE_NAME = "svc_registration"' in node
-    assert '_points"' in node
+    inputs = (PROJECT_ROOT / "svc_ros" / "ros" / "inputs.py").read_text("utf-8")
+    assert '_points"' in inputs
 
 
 def test_file_describes_a_launch_where_launch_is_installed(arguments):

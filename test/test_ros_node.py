@@ -309,7 +309,8 @@ def test_node_ends_with_exit_code_0_within_two_seconds(tmp_path, signum, moment)
     ("parameter", "text"),
     [
         ("preset:=lidar_outdor", "did you mean 'lidar_outdoor'"),
-        ("mode:=scan_matching", "'scan_matching' is not available in this version"),
+        ("mode:=scan_match", "did you mean 'scan_matching'"),
+        ("edges:=rtabmap", "belong to mode loop_closure"),
         ("preprocess.voxel_size_m:=1", "write 1.0"),
         ("queue_size:=0", "queue_size"),
         ("sensor_origin:=[0.0, 1.0]", "sensor_origin: expected 3 numbers"),

@@ -74,7 +74,10 @@ def test_given_value_wins_over_the_preset(make_node):
     ("overrides", "text"),
     [
         ({"preset": "lidar_outdor"}, "did you mean 'lidar_outdoor'"),
-        ({"mode": "loop_closure"}, "'loop_closure' is not available in this version"),
+        ({"odometry": "topics"}, "odometry: unknown name 'topics'; did you mean 'topic'"),
+        ({"edges": "gtsam"}, "edges: unknown name 'gtsam'"),
+        ({"mode": "loop_closure", "publish_tf": True}, "publish_tf: mode loop_closure"),
+        ({"graph_file": "loops.g2o"}, "graph_file and edges belong to mode loop_closure, found mode pair"),
         ({"mode": "pairs"}, "did you mean 'pair'"),
         ({"method": "scv"}, "did you mean 'svc'"),
         ({"preprocess.voxel_size_m": 1}, "preprocess.voxel_size_m: expected a float.*write 1.0"),

@@ -95,7 +95,7 @@ def read_g2o(path: str | Path) -> PoseGraph:
 
 def _information(edge: GraphEdge) -> Array:
     """Information (6, 6) as g2o has it: perturbation on the right, rotation as half angles."""
-    inverse = _adjoint(se3.invert(edge.T_target_source))
+    inverse = adjoint(se3.invert(edge.T_target_source))
     on_the_right = inverse @ edge.covariance @ inverse.T
     information = np.linalg.inv(on_the_right) * np.outer(_HALF_ANGLES, _HALF_ANGLES)
     return np.asarray(0.5 * (information + information.T))
@@ -103,13 +103,13 @@ def _information(edge: GraphEdge) -> Array:
 
 def _covariance(information: Array, T_target_source: Array) -> Array:
     """The way back from `_information`."""
-    adjoint = _adjoint(T_target_source)
+    to_left = adjoint(T_target_source)
     on_the_right = np.linalg.inv(information / np.outer(_HALF_ANGLES, _HALF_ANGLES))
-    covariance = adjoint @ on_the_right @ adjoint.T
+    covariance = to_left @ on_the_right @ to_left.T
     return np.asarray(0.5 * (covariance + covariance.T))
 
 
-def _adjoint(T: Array) -> Array:
+def adjoint(T: Array) -> Array:
     """(6, 6), order shift then turn: a perturbation on the right of T as one on its left."""
     R, (x, y, z) = T[:3, :3], T[:3, 3]
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

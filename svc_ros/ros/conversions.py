@@ -8,6 +8,7 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, Pose, PoseWithCovarianceStamped, Quaternion, Transform, TransformStamped, Vector3
+from nav_msgs.msg import Odometry
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2, PointField
@@ -19,10 +20,9 @@ from svc_ros.core.scan import Array
 from svc_ros.core.se3 import make_pose
 from svc_ros.io.point_cloud2 import cloud_layout
 from svc_ros.io.stamps import seconds_and_rest
+from svc_ros.ros.decision import UNKNOWN_COVARIANCE, OdometryEstimate
 
 _FAULTS = (Reason.INTERNAL_ERROR, Reason.TF_UNAVAILABLE)
-# An accepted pose whose method gives no covariance: 1 m and 10 deg, so that no consumer takes it for certain.
-_UNKNOWN_COVARIANCE = np.diag([1.0] * 3 + [np.deg2rad(10.0) ** 2] * 3)
 
 
 def header(stamp_ns: int, frame_id: str) -> Header:
@@ -45,20 +45,49 @@ def pose_message(result: RegistrationResult, stamp_ns: int, target_frame: str) -
     """The source's frame as a pose in the target frame; InputError unless the result is accepted."""
     if result.T_target_source is None:
         raise InputError(f"expected an accepted result, found {result.verdict.value} ({result.reason.value})")
-    x, y, z = result.T_target_source[:3, 3].tolist()
     message = PoseWithCovarianceStamped(header=header(stamp_ns, target_frame))
-    message.pose.pose = Pose(position=Point(x=x, y=y, z=z), orientation=_quaternion(result.T_target_source))
-    covariance = _UNKNOWN_COVARIANCE if result.covariance is None else result.covariance
+    message.pose.pose = plain_pose(result.T_target_source)
+    covariance = UNKNOWN_COVARIANCE if result.covariance is None else result.covariance
     message.pose.covariance = np.asarray(covariance, np.float64).reshape(-1)
     return message
 
 
-def pose_from_message(message: PoseWithCovarianceStamped) -> Array:
+def plain_pose(T: Array) -> Pose:
+    """A (4, 4) pose as a message without stamp and frame."""
+    x, y, z = T[:3, 3].tolist()
+    return Pose(position=Point(x=x, y=y, z=z), orientation=_quaternion(T))
+
+
+def odometry_message(estimate: OdometryEstimate, stamp_ns: int, odometry_frame: str, child_frame: str) -> Odometry:
+    """Pose of the child frame in the odometry frame, with the covariance of its position and its turns about the
+    fixed axes; velocity in the child frame, all zero with an unknown covariance for the first scan."""
+    message = Odometry(header=header(stamp_ns, odometry_frame), child_frame_id=child_frame)
+    message.pose.pose = plain_pose(estimate.T_odom_base)
+    message.pose.covariance = _about_the_pose(estimate.covariance, estimate.T_odom_base).reshape(-1)
+    if estimate.velocity is None or estimate.velocity_covariance is None:
+        message.twist.covariance = UNKNOWN_COVARIANCE.reshape(-1)
+        return message
+    linear, angular = estimate.velocity[:3].tolist(), estimate.velocity[3:].tolist()
+    message.twist.twist.linear = Vector3(x=linear[0], y=linear[1], z=linear[2])
+    message.twist.twist.angular = Vector3(x=angular[0], y=angular[1], z=angular[2])
+    message.twist.covariance = estimate.velocity_covariance.reshape(-1)
+    return message
+
+
+def _about_the_pose(covariance: Array, T: Array) -> Array:
+    """(6, 6) of a perturbation on the left as that of the position itself: a turn about the origin moves it, too."""
+    x, y, z = T[:3, 3]
+    lever = np.eye(6)
+    lever[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+    return np.asarray(lever @ covariance @ lever.T)
+
+
+def pose_from_message(message: PoseWithCovarianceStamped | Odometry) -> Array:
     """The (4, 4) pose of a message; InputError if its quaternion has no direction or a number is not finite."""
     p, q = message.pose.pose.position, message.pose.pose.orientation
     values = np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
     if not np.isfinite(values).all() or np.linalg.norm(values[3:]) < 1e-6:
-        raise InputError(f"initial guess: expected finite numbers and a unit quaternion, found {values.tolist()}")
+        raise InputError(f"pose: expected finite numbers and a unit quaternion, found {values.tolist()}")
     return make_pose(Rotation.from_quat(values[3:]).as_matrix(), values[:3])
 
 

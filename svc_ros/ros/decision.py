@@ -6,12 +6,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+import numpy as np
+
 from svc_ros.core.config import Config
 from svc_ros.core.errors import InputError, TransformUnavailableError
 from svc_ros.core.result import RegistrationResult
 from svc_ros.core.scan import Array, PreparedScan, Scan
 from svc_ros.io.point_cloud2 import scan_from_cloud
 from svc_ros.ros.worker import Cloud, CloudLabel, DropJob, Job, PairJob
+
+# An accepted pose whose method gives no covariance: 1 m and 10 deg, so that no consumer takes it for certain.
+UNKNOWN_COVARIANCE = np.diag([1.0] * 3 + [np.deg2rad(10.0) ** 2] * 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,13 +37,13 @@ class Look:
 
 @dataclass(frozen=True, eq=False)
 class OdometryEstimate:
-    """Where a scan of a stream stands.
+    """Where the robot's base stands, or the sensor where there is no base.
 
-    T_odom_sensor: (4, 4); covariance: (6, 6), order x y z [m] then rotations [rad], left perturbation in the odometry
-    frame; velocity: (6,) [m/s, rad/s] in the sensor's own frame and its covariance (6, 6), None for the first scan.
+    T_odom_base: (4, 4); covariance: (6, 6), order x y z [m] then rotations [rad], left perturbation in the odometry
+    frame; velocity: (6,) [m/s, rad/s] in the base's own frame and its covariance (6, 6), None for the first scan.
     """
 
-    T_odom_sensor: Array
+    T_odom_base: Array
     covariance: Array
     velocity: Array | None = None
     velocity_covariance: Array | None = None
@@ -46,7 +51,11 @@ class OdometryEstimate:
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """The answer to one job. origin: where the judged pose of a stream came from, empty for pairs."""
+    """The answer to one job, or one of its answers.
+
+    origin: where the judged pose of a stream came from, empty for pairs; vertices: numbers of source and target in the
+    pose graph, where both are in it.
+    """
 
     result: RegistrationResult
     source: CloudLabel | None
@@ -55,6 +64,7 @@ class Decision:
     look: Look | None = None
     odometry: OdometryEstimate | None = None
     origin: str = ""
+    vertices: tuple[int, int] | None = None
 
 
 class Engine(Protocol):

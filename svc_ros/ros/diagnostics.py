@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,10 +24,13 @@ _OK, _WARN, _ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatu
 
 
 class InputMonitor:
-    """When clouds came on one input; times are of a steady clock [s], so a paused bag is seen as silence."""
+    """When clouds came on one input; times are of a steady clock [s], so a paused bag is seen as silence.
 
-    def __init__(self) -> None:
-        self.num_received = 0
+    is_needed: silence is worth a warning even before the first cloud.
+    """
+
+    def __init__(self, is_needed: bool = True) -> None:
+        self.num_received, self.is_needed = 0, is_needed
         self._start = time.monotonic()
         self._times: deque[float] = deque(maxlen=1000)
 
@@ -47,10 +50,13 @@ class InputMonitor:
 
 
 class Statistics:
-    """Counts of everything since the start. The worker writes decisions, callbacks the rest; reads are snapshots."""
+    """Counts of everything since the start. The worker writes decisions, callbacks the rest; reads are snapshots.
 
-    def __init__(self) -> None:
-        self.inputs = {"source": InputMonitor(), "target": InputMonitor()}
+    inputs: their names, and whether the mode cannot do without them.
+    """
+
+    def __init__(self, inputs: Mapping[str, bool]) -> None:
+        self.inputs = {name: InputMonitor(is_needed) for name, is_needed in inputs.items()}
         self.qos_problems: dict[str, str] = {}
         self.fault = ""
         self._lock = threading.Lock()
@@ -58,24 +64,45 @@ class Statistics:
         self._reasons: Counter[str] = Counter()
         self._latencies_ms: deque[float] = deque(maxlen=_KEPT_LATENCIES)
         self._rejects_in_a_row = 0
+        self._num_jobs, self._num_pending, self._num_silent = 0, 0, 0
 
-    def count(self, decision: Decision) -> None:
-        """Add one decision."""
-        result = decision.result
+    def receive(self) -> None:
+        """One more pair, scan or cloud without a partner will be decided."""
         with self._lock:
-            self._verdicts[result.verdict.value] += 1
-            self._reasons[result.reason.value] += 1
-            self.fault = f"{result.reason.value}: {result.detail}" if result.reason in _FAULTS else ""
-            if "latency_ms" in decision.timings_ms:
-                self._latencies_ms.append(decision.timings_ms["latency_ms"])
-            if result.verdict is not Verdict.DROPPED:
-                self._rejects_in_a_row = 0 if result.accepted else self._rejects_in_a_row + 1
+            self._num_jobs += 1
+            self._num_pending += 1
+
+    def finish(self, decisions: Sequence[Decision]) -> None:
+        """All decisions on one of them; none at all for a scan without candidates for a loop."""
+        with self._lock:
+            self._num_pending -= 1
+            self._num_silent += not decisions
+            for decision in decisions:
+                self._count(decision)
+
+    def _count(self, decision: Decision) -> None:
+        result = decision.result
+        self._verdicts[result.verdict.value] += 1
+        self._reasons[result.reason.value] += 1
+        self.fault = f"{result.reason.value}: {result.detail}" if result.reason in _FAULTS else ""
+        if "latency_ms" in decision.timings_ms:
+            self._latencies_ms.append(decision.timings_ms["latency_ms"])
+        if result.verdict is not Verdict.DROPPED:
+            self._rejects_in_a_row = 0 if result.accepted else self._rejects_in_a_row + 1
 
     def numbers(self) -> dict[str, Any]:
-        """Verdicts, reasons, latency percentiles and the length of the current run of rejects."""
+        """Verdicts, reasons, latency percentiles and the length of the current run of rejects: one moment's snapshot.
+
+        `jobs.received` is `jobs.pending` plus `jobs.without_candidate` plus all decisions, where each job has one.
+        """
         with self._lock:
             latencies = np.array(self._latencies_ms)
             return {
+                "jobs": {
+                    "received": self._num_jobs,
+                    "pending": self._num_pending,
+                    "without_candidate": self._num_silent,
+                },
                 "decisions": dict(self._verdicts),
                 "reasons": dict(self._reasons),
                 "latency_ms": _percentiles(latencies),
@@ -100,7 +127,8 @@ def _input_status(statistics: Statistics, now: float) -> DiagnosticStatus:
     silent = []
     for side, monitor in statistics.inputs.items():
         values |= {f"{side}_received": monitor.num_received, f"{side}_rate_hz": round(monitor.rate_hz(now), 2)}
-        if monitor.silence_s(now) > _STALE_AFTER_S:
+        is_expected = monitor.is_needed or monitor.num_received > 0
+        if is_expected and monitor.silence_s(now) > _STALE_AFTER_S:
             silent.append(side)
     values |= {f"qos_{topic}": text for topic, text in statistics.qos_problems.items()}
     if statistics.qos_problems:
@@ -123,7 +151,7 @@ def _worker_status(flow: Mapping[str, Any], numbers: Mapping[str, Any], process_
 
 def _decision_status(statistics: Statistics, numbers: Mapping[str, Any]) -> DiagnosticStatus:
     run = numbers["rejects_in_a_row"]
-    values = {**numbers["decisions"], **{f"reason_{k}": n for k, n in numbers["reasons"].items()}}
+    values = {**numbers["decisions"], **numbers["jobs"], **{f"reason_{k}": n for k, n in numbers["reasons"].items()}}
     values["rejects_in_a_row"] = run
     if statistics.fault:
         return _status("decisions", _ERROR, statistics.fault, values)

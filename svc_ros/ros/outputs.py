@@ -12,10 +12,12 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 
 from svc_ros.io.results import decision_values
+from svc_ros.ros.back_ends import EdgeOutput, edge_output
 from svc_ros.ros.conversions import decision_message, pose_message, transform_message
 from svc_ros.ros.decision import Decision
 from svc_ros.ros.frames import TransformOutput
 from svc_ros.ros.looks import LookOutputs
+from svc_ros.ros.odometry_outputs import OdometryOutputs
 from svc_ros.ros.parameters import NodeSettings
 from svc_ros.ros.worker import CloudLabel
 
@@ -29,24 +31,47 @@ _ACKNOWLEDGE = Duration(seconds=0.2)
 
 
 class Outputs:
-    """Publishes decisions; belongs to the worker's thread. Raises MissingDependencyError for /tf without tf2_msgs."""
+    """Publishes decisions; belongs to the worker's thread.
+
+    Raises MissingDependencyError for /tf without tf2_msgs, and for a back end whose messages are not installed.
+    """
 
     def __init__(self, node: Node, settings: NodeSettings) -> None:
+        self._node = node
+        self._tf = TransformOutput(node) if settings.publish_tf else None
+        self._edges: EdgeOutput | None = edge_output(node, settings.edges)
         self._decision = node.create_publisher(DiagnosticArray, "~/decision", _LAST_DECISION)
         self._rejected = node.create_publisher(Bool, "~/rejected", _RELIABLE)
         self._transform = node.create_publisher(TransformStamped, "~/transform", _RELIABLE)
         self._pose = node.create_publisher(PoseWithCovarianceStamped, "~/pose", _RELIABLE)
         self._looks = LookOutputs(node)
-        self._tf = TransformOutput(node) if settings.publish_tf else None
+        self._odometry = OdometryOutputs(node, self._tf) if settings.mode == "scan_matching" else None
 
     def publish(self, decision: Decision, settings: NodeSettings) -> None:
         """Send everything of one decision; the decision itself goes last, as the sign that the rest is out."""
         source, target = decision.source, decision.target
         if decision.result.accepted and source is not None and target is not None:
             self._publish_pose(decision, source, target, settings)
+        if self._odometry is not None:
+            self._odometry.publish(decision, settings)
+        if self._edges is not None:
+            self._edges.publish(decision)
         self._looks.publish(decision)
         self._rejected.publish(Bool(data=not decision.result.accepted))
         self._publish_decision(decision)
+
+    def publish_path(self, settings: NodeSettings) -> None:
+        """Send the way so far, in scan matching; from any thread."""
+        if self._odometry is not None:
+            self._odometry.publish_path(settings)
+
+    def destroy(self) -> None:
+        """Give all publishers back."""
+        for publisher in (self._decision, self._rejected, self._transform, self._pose):
+            self._node.destroy_publisher(publisher)
+        for part in (self._looks, self._odometry, self._edges, self._tf):
+            if part is not None:
+                part.destroy()
 
     def _publish_pose(self, decision: Decision, source: CloudLabel, target: CloudLabel, settings: NodeSettings) -> None:
         T = decision.result.T_target_source
@@ -54,7 +79,7 @@ class Outputs:
         message = transform_message(T, source.stamp_ns, target.frame_id, source.frame_id)
         self._transform.publish(message)
         self._pose.publish(pose_message(decision.result, source.stamp_ns, target.frame_id))
-        if self._tf is not None:
+        if self._tf is not None and settings.mode == "pair":
             self._tf.publish(message, settings.tf_child_frame)
 
     def _publish_decision(self, decision: Decision) -> None:
@@ -77,4 +102,6 @@ def _values(decision: Decision) -> dict[str, str]:
             values[f"{side}_stamp"] = ""
     for name, T in (("T_target_source", result.T_target_source), ("best_candidate", result.best_candidate)):
         values[name] = "" if T is None else json.dumps(T.tolist())
+    if decision.origin:
+        values["origin"] = decision.origin
     return values | {name: f"{value:.1f}" for name, value in decision.timings_ms.items()}

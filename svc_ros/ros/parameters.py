@@ -20,8 +20,9 @@ from rclpy.parameter import Parameter
 from svc_ros.core.config import PRESETS, Config, FieldInfo, preset, unknown_name, walk, with_values
 from svc_ros.core.errors import ConfigError
 
-MODES = ("pair",)
-_LATER_MODES = ("scan_matching", "loop_closure")
+MODES = ("pair", "scan_matching", "loop_closure")
+ODOMETRY = ("own", "topic", "tf")
+EDGES = ("none", "rtabmap", "pose_graph_tools")
 _FOREIGN = ("use_sim_time", "qos_overrides.", "start_type_description_service")  # declared by rclpy itself
 _LARGEST_INT = 2**63 - 1
 
@@ -40,16 +41,26 @@ class NodeSettings:
     tf_timeout: float = 0.2
     publish_tf: bool = False
     tf_child_frame: str = ""
+    odom_frame: str = "odom"
+    base_frame: str = ""
+    odometry: str = "own"
+    graph_file: str = ""
+    edges: str = "none"
+    autostart: bool = True
 
     def __post_init__(self) -> None:
-        if self.mode in _LATER_MODES:
-            raise ConfigError(f"mode: {self.mode!r} is not available in this version (available: {', '.join(MODES)})")
-        if self.mode not in MODES:
-            raise ConfigError(unknown_name("mode", self.mode, MODES))
+        for name, known in (("mode", MODES), ("odometry", ODOMETRY), ("edges", EDGES)):
+            if getattr(self, name) not in known:
+                raise ConfigError(unknown_name(name, getattr(self, name), known))
         if len(self.sensor_origin) != 3:
             raise ConfigError(f"sensor_origin: expected 3 numbers [m], found {len(self.sensor_origin)}")
         if self.sensor_frame and any(self.sensor_origin):
             raise ConfigError("sensor_frame and sensor_origin exclude each other: set one of them")
+        is_loop_closure = self.mode == "loop_closure"
+        if self.publish_tf and is_loop_closure:
+            raise ConfigError("publish_tf: mode loop_closure tells loops between old scans, which are no frames")
+        if (self.graph_file or self.edges != "none") and not is_loop_closure:
+            raise ConfigError(f"graph_file and edges belong to mode loop_closure, found mode {self.mode}")
 
     @property
     def max_skew_ns(self) -> int:
@@ -65,17 +76,25 @@ def _own(name: str, text: str, unit: str = "", low: float | None = None, high: f
 
 OWN: tuple[FieldInfo, ...] = (
     _own("mode", "what the node does with its inputs", choices=MODES),
-    _own("max_skew", "largest difference of the stamps of a pair", "s", 0.0, 10.0),
+    _own("max_skew", "largest difference of the stamps of a pair, and of a cloud and its odometry", "s", 0.0, 10.0),
     _own("pair_timeout", "clouds without a partner are given up after this much silence; 0: never", "s", 0.0, 3600.0),
-    _own("queue_size", "pairs that may wait; the oldest gives way to the newest", "", 1, 10_000),
-    _own("process_every", "register every pair, however long the queue grows (replay)"),
+    _own("queue_size", "pairs or scans that may wait; the oldest gives way to the newest", "", 1, 10_000),
+    _own("process_every", "compute every pair or scan, however long the queue grows (replay)"),
     _own("sensor_frame", "frame of the sensor, where clouds are in another; '': the cloud's own frame"),
     _own("sensor_origin", "where the sensor stands in the cloud's frame, if no TF says it", "m"),
-    _own("tf_timeout", "how long to wait for the transform of sensor_frame", "s", 0.0, 60.0),
+    _own("tf_timeout", "how long to wait for a transform, or for odometry behind a cloud's stamp", "s", 0.0, 60.0),
     _own("publish_tf", "publish accepted transforms on /tf too"),
+    _own("odom_frame", "frame that scan matching tells poses in, and that odometry from elsewhere is in"),
+    _own("base_frame", "frame of the robot: scan matching tells where it stands; '': the cloud's frame"),
+    _own("odometry", "loop closure's odometry: own motion, topic odom, or TF from odom_frame", choices=ODOMETRY),
+    _own("graph_file", "loop closure writes its pose graph here (g2o), on reset and at the end; '': nowhere"),
+    _own("edges", "loops go to this back end, too: none, rtabmap, pose_graph_tools", choices=EDGES),
+    _own("autostart", "configure and activate at the start; false: wait for lifecycle transitions"),
     _own("tf_child_frame", "child frame on /tf; '': the source's frame, FRAME/source if that is the target's too"),
 )
-_READ_ONLY = ("preset", "mode", "publish_tf")
+_READ_ONLY = (
+    "preset", "mode", "publish_tf", "odom_frame", "base_frame", "odometry", "graph_file", "edges", "autostart"
+)  # fmt: skip
 
 
 class NodeParameters:

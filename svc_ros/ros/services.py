@@ -1,0 +1,112 @@
+"""The node's services. What computes is done by the worker, between two jobs, while the executor goes on."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from rclpy.task import Future
+from std_srvs.srv import SetBool, Trigger
+
+from svc_ros.core.errors import SvcError
+from svc_ros.ros.loop_engine import LoopEngine
+from svc_ros.ros.parameters import NodeParameters
+
+if TYPE_CHECKING:
+    from svc_ros.ros.session import Session
+
+
+class Services:
+    """`~/status`, `~/enable`, `~/reset`, `~/verify`, and in loop closure `~/save_graph`."""
+
+    def __init__(self, node: Node, parameters: NodeParameters, session: Session) -> None:
+        self._node, self._parameters, self._session = node, parameters, session
+        self._waiting: set[Future] = set()
+        # A service that waits for the worker must not keep the node's other callbacks waiting.
+        waits = ReentrantCallbackGroup()
+        self._services = [
+            node.create_service(Trigger, "~/status", self._on_status),
+            node.create_service(SetBool, "~/enable", self._on_enable),
+            node.create_service(Trigger, "~/reset", self._on_reset, callback_group=waits),
+            node.create_service(Trigger, "~/verify", self._on_verify, callback_group=waits),
+        ]
+        if isinstance(session.engine, LoopEngine):
+            self._services.append(
+                node.create_service(Trigger, "~/save_graph", self._on_save_graph, callback_group=waits)
+            )
+
+    def destroy(self) -> None:
+        """Answer what still waits, and give the services back."""
+        for future in list(self._waiting):
+            future.set_result((False, "the node is shutting down"))
+        for service in self._services:
+            self._node.destroy_service(service)
+
+    def _on_status(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        session = self._session
+        status = {
+            "mode": self._parameters.settings.mode,
+            "preset": self._parameters.preset_name,
+            "method": self._parameters.config.method,
+            "received": {name: monitor.num_received for name, monitor in session.statistics.inputs.items()},
+            **session.flow(),
+            **session.statistics.numbers(),
+        }
+        response.success, response.message = True, json.dumps(status)
+        return response
+
+    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self._session.is_enabled = bool(request.data)
+        if not self._session.is_enabled:
+            self._session.deactivate("the node was disabled")
+        response.success, response.message = True, "enabled" if self._session.is_enabled else "disabled"
+        return response
+
+    async def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._session.forget_inputs("the node was reset")
+        return await self._answer(response, self._reset)
+
+    async def _on_verify(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return await self._answer(
+            response, lambda: json.dumps(self._session.engine.judge_again(self._parameters.config))
+        )
+
+    async def _on_save_graph(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return await self._answer(response, self._save_graph)
+
+    def _reset(self) -> str:
+        self._session.engine.reset()
+        return "pairing, queue, guesses and everything computed are forgotten"
+
+    def _save_graph(self) -> str:
+        assert isinstance(self._session.engine, LoopEngine)
+        path = self._session.engine.write_graph()
+        return f"written to {path}" if path else "nothing written: no keyframes with odometry, or graph_file is empty"
+
+    async def _answer(self, response: Trigger.Response, call: Callable[[], str]) -> Trigger.Response:
+        """Let the worker call, and answer with what it returns or with the error."""
+        response.success, response.message = await self._on_worker(call)
+        return response
+
+    def _on_worker(self, call: Callable[[], str]) -> Any:
+        future = Future()
+        self._waiting.add(future)
+
+        def run() -> None:
+            try:
+                answer = True, call()
+            except SvcError as error:
+                answer = False, str(error)
+            except Exception as error:
+                self._node.get_logger().error(f"service: {type(error).__name__}: {error}")
+                answer = False, f"{type(error).__name__}: {error}"
+            self._waiting.discard(future)
+            future.set_result(answer)
+            if self._node.executor is not None:
+                self._node.executor.wake()
+
+        self._session.worker.jobs.call_next(run)
+        return future

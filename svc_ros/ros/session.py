@@ -1,0 +1,197 @@
+"""Everything that exists while the node is configured: inputs, the worker with its engine, outputs, services."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
+from rclpy.duration import Duration
+from rclpy.node import Node
+
+from svc_ros.core.errors import InputError
+from svc_ros.core.result import Reason
+from svc_ros.core.scan import Array, Scan
+from svc_ros.pipeline.decide import refused
+from svc_ros.ros.decision import Decision, Engine, labels
+from svc_ros.ros.diagnostics import Statistics, statuses
+from svc_ros.ros.frames import Frames
+from svc_ros.ros.inputs import CLOUD_INPUTS, Inputs
+from svc_ros.ros.loop_engine import LoopEngine
+from svc_ros.ros.matching_engine import MatchingEngine
+from svc_ros.ros.outputs import Outputs
+from svc_ros.ros.parameters import NodeParameters
+from svc_ros.ros.registrar import PairRegistrar
+from svc_ros.ros.services import Services
+from svc_ros.ros.worker import DropJob, Job, Worker
+
+_JUMP = JumpThreshold(min_forward=None, min_backward=Duration(seconds=-1), on_clock_change=False)
+
+
+class Session:
+    """The node at work. Raises MissingDependencyError where a parameter needs a package that is not there.
+
+    is_active: take new work; without it every input is dropped as `inactive`.
+    """
+
+    def __init__(self, node: Node, parameters: NodeParameters) -> None:
+        self._node, self._parameters = node, parameters
+        settings = parameters.settings
+        self.is_active, self.is_enabled = False, True
+        self.statistics = Statistics(CLOUD_INPUTS[settings.mode])
+        self.frames = Frames(node, settings)
+        self.outputs = Outputs(node, settings)
+        self.inputs = Inputs(node, parameters, self.statistics, self._take)
+        self.engine: Engine = self._make_engine()
+        self.worker = Worker(self._process, self._warm_up)
+        self._services = Services(node, parameters, self)
+        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        # Steady clocks: a timer on simulated time stops when the bag is paused.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timers = [
+            node.create_timer(1.0, self._tell, clock=steady),
+            node.create_timer(0.25, self.inputs.give_up_waiting, clock=steady),
+        ]
+        self._jumps = node.get_clock().create_jump_callback(_JUMP, post_callback=self._on_clock_jump)
+        self.worker.start()
+
+    def stop(self, timeout_s: float) -> bool:
+        """End the worker after its current job, and write what is to be kept; False if it was still computing."""
+        is_done = self.worker.stop(timeout_s)
+        if isinstance(self.engine, LoopEngine):
+            try:
+                self.engine.write_graph()
+            except InputError as error:
+                self._node.get_logger().error(str(error))
+        return is_done
+
+    def destroy(self) -> None:
+        """Give everything back to the node; `stop` comes first."""
+        self._jumps.unregister()
+        for timer in self._timers:
+            self._node.destroy_timer(timer)
+        for part in (self.inputs, self._services, self.outputs, self.frames):
+            part.destroy()
+        self._node.destroy_publisher(self._diagnostics)
+
+    def deactivate(self, detail: str) -> None:
+        """Give up what waits to be computed; what is computed now gets its decision."""
+        self.worker.jobs.give_up(Reason.INACTIVE, detail)
+
+    def forget_inputs(self, detail: str) -> None:
+        """Empty pairing, queue, guesses and odometry; what waited is `stale`."""
+        self.inputs.clear()
+        self.worker.jobs.give_up(Reason.STALE, detail)
+
+    def flow(self) -> dict[str, Any]:
+        """Counters of pairing and worker, for status and diagnostics."""
+        pairer, settings = self.inputs.pairer, self._parameters.settings
+        return {
+            "pairing": {
+                "matched": pairer.num_matched,
+                "unmatched": pairer.num_unmatched,
+                "late": pairer.num_late,
+                "waiting": pairer.num_waiting,
+            },
+            "worker": {
+                "ready": self.worker.ready.is_set(),
+                "enabled": self.is_enabled and self.is_active,
+                "queue": self.worker.jobs.num_waiting,
+                "queue_size": settings.queue_size,
+                **self.engine.numbers(),
+            },
+        }
+
+    def _make_engine(self) -> Engine:
+        settings, sources = self._parameters.settings, _Sources(self)
+        if settings.mode == "scan_matching":
+            return MatchingEngine(sources.origin, sources.base, settings.odom_frame)
+        if settings.mode == "loop_closure":
+            graph_file = Path(settings.graph_file) if settings.graph_file else None
+            return LoopEngine(sources, settings.odometry == "own", graph_file)
+        return PairRegistrar(sources.origin, sources.guess)
+
+    # on the executor's thread
+
+    def _take(self, job: Job) -> None:
+        settings = self._parameters.settings
+        if not isinstance(job, DropJob) and not (self.is_enabled and self.is_active):
+            job = job.drop(Reason.INACTIVE, "the node is not active" if self.is_enabled else "the node is disabled")
+        self.statistics.receive()
+        self.worker.jobs.put(job, None if settings.process_every else settings.queue_size)
+
+    def _tell(self) -> None:
+        settings = self._parameters.settings
+        message = DiagnosticArray(status=statuses(self.statistics, self.flow(), settings.process_every))
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+        self.outputs.publish_path(settings)
+
+    def _on_clock_jump(self, _jump: TimeJump) -> None:
+        """Simulated time went back. Clouds that came since then already are of the new time: those stay."""
+        if self.inputs.is_ahead_of(self._node.get_clock().now().nanoseconds):
+            self.forget_inputs("the clock jumped back")
+            self.frames.clear()
+            self.worker.jobs.call_next(self.engine.reset)
+
+    # on the worker's thread
+
+    def _warm_up(self) -> None:
+        start, logger = time.monotonic(), self._node.get_logger()
+        logger.info("warming up: the first run compiles, which takes a while")
+        self.engine.warm_up(self._parameters.config)
+        logger.info(
+            f"ready: mode {self._parameters.settings.mode}, preset {self._parameters.preset_name}, "
+            f"method {self._parameters.config.method} (warm-up {time.monotonic() - start:.1f} s)"
+        )
+
+    def _process(self, job: Job) -> None:
+        config, settings = self._parameters.config, self._parameters.settings
+        try:
+            decisions = self.engine.process(job, config)
+        except Exception as error:
+            decisions = [Decision(refused(error, config), *labels(job))]
+        self.statistics.finish(decisions)
+        for decision in decisions:
+            try:
+                self.outputs.publish(decision, settings)
+            except Exception:
+                if self._node.context.ok():
+                    raise
+                return  # shut down while this was computed: nobody listens any more
+            self._node.get_logger().debug(f"{decision.result.verdict.value}: {decision.result.reason.value}")
+
+
+class _Sources:
+    """What engines ask for besides clouds: origins, guesses and odometry, with the parameters of the moment."""
+
+    def __init__(self, session: Session) -> None:
+        self._session, self._parameters = session, session._parameters
+        self.odometry_frame = self._parameters.settings.odom_frame
+
+    def origin(self, frame: str, stamp_ns: int) -> Array:
+        """Where the sensor stood in a cloud's frame."""
+        return self._session.frames.sensor_origin(self._parameters.settings, frame, stamp_ns)
+
+    def base(self, frame: str, stamp_ns: int) -> Array:
+        """T_base_cloud (4, 4); the identity where no base is asked for."""
+        settings = self._parameters.settings
+        if not settings.base_frame:
+            return np.eye(4)
+        return self._session.frames.pose(settings.base_frame, frame, stamp_ns, settings.tf_timeout)
+
+    def guess(self, stamp_ns: int) -> Array | None:
+        """The guess for a pair: the one nearest in time, if it is near enough."""
+        return self._session.inputs.guesses.nearest(stamp_ns, self._parameters.settings.max_skew_ns)
+
+    def odometry(self, scan: Scan) -> Array:
+        """T_odom_cloud (4, 4) as odometry from elsewhere has it; TransformUnavailableError where it has none."""
+        settings, inputs, frames = self._parameters.settings, self._session.inputs, self._session.frames
+        if settings.odometry == "tf":
+            return frames.pose(settings.odom_frame, scan.frame_id, scan.stamp_ns, settings.tf_timeout)
+        T_odom_child = inputs.odometry.at(scan.stamp_ns, settings.max_skew_ns, settings.tf_timeout)
+        child = inputs.odometry_child_frame or scan.frame_id
+        return T_odom_child @ frames.pose(child, scan.frame_id, scan.stamp_ns, settings.tf_timeout)
