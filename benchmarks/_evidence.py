@@ -125,7 +125,7 @@ def _may_be_accepted(evidence: SightViewEvidence, config: DecisionConfig) -> boo
     loose = dataclasses.replace(
         config, max_blocked_per_overlap=10.0, max_scattered_per_overlap=10.0, max_opposed_per_overlap=10.0,
         min_oriented_overlap=0.5 * config.min_oriented_overlap, min_constraint=1e-4, weak_constraint=0.0,
-        full_tight=0.0,
+        full_tight=0.0, max_contradicted=10.0,
     )  # fmt: skip
     plain = dataclasses.replace(evidence, oriented_overlap_ratio=evidence.overlap_ratio)
     return any(decision.decide(e, loose).verdict is Verdict.ACCEPTED for e in (evidence, plain))

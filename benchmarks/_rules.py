@@ -38,12 +38,15 @@ VARIANTS: dict[str, Variant] = {
     "svc, not refined": Variant(view="given"),
     "svc, blocked share only, no scattered": Variant(borders={"max_scattered_per_overlap": OPEN}),
     "svc, scattered share only, no blocked": Variant(borders={"max_blocked_per_overlap": OPEN}),
-    "svc, no sight lines": Variant(borders={"max_scattered_per_overlap": OPEN, "max_blocked_per_overlap": OPEN}),
+    "svc, no sight lines": Variant(
+        borders={"max_scattered_per_overlap": OPEN, "max_blocked_per_overlap": OPEN, "max_contradicted": OPEN}
+    ),
     "svc, plain overlap": Variant(plain_overlap=True),
     "svc, opposed surfaces allowed": Variant(borders={"max_opposed_per_overlap": OPEN}),
     "svc, one plane is enough": Variant(borders={"min_constraint": 1e-4}),
     "svc, no stricter where surfaces are weak": Variant(borders={"weak_constraint": 0.0}),
     "svc, no freer where contact is loose": Variant(borders={"full_tight": 0.0}),
+    "svc, no contradicted share": Variant(borders={"max_contradicted": OPEN}),
     "svc, no looser where much is clear": Variant(borders={"blocked_factor_where_clear": 1.0}),
     "svc, no doubt by slips": Variant(slips=False),
     "svc, cone 0.4438 deg": Variant(view="cone"),

@@ -72,27 +72,42 @@ def measure_margins(evidence: SightViewEvidence, config: DecisionConfig) -> Marg
     """
     plain = _plain_margins(evidence, config)
     if evidence.weakest_constraint >= config.weak_constraint:
-        free = plain.free + _allowance(evidence, config)
-        return dataclasses.replace(plain, free=min(free, _free_space_margin(evidence, config)))
+        free = _free_margin(evidence, config.max_blocked_per_overlap, config) + _allowance(evidence, config)
+        free = min(free, _contradicted_margin(evidence, config), _free_space_margin(evidence, config))
+        return dataclasses.replace(plain, free=free)
     tight = _log_odds(evidence.tight_ratio) - _log_odds(config.min_tight_where_weak)
     free = _free_margin(evidence, config.max_blocked_where_weak, config)
-    free = min(free, _free_space_margin(evidence, config))
+    free = min(free, _contradicted_margin(evidence, config), _free_space_margin(evidence, config))
     return Margins(free=free, same_side=plain.same_side, overlap=min(plain.overlap, tight))
 
 
 def _allowance(evidence: SightViewEvidence, config: DecisionConfig) -> float:
     """Logarithm of the factor on the blocked borders."""
-    tight = evidence.tight_ratio
-    if evidence.oriented_overlap_ratio >= config.clear_overlap and tight >= config.min_tight_where_clear:
+    if _is_clear(evidence, config):
         return math.log(config.blocked_factor_where_clear)
-    return min(_log_odds(tight) - _log_odds(config.full_tight), 0.0)
+    return min(_log_odds(evidence.tight_ratio) - _log_odds(config.full_tight), 0.0)
+
+
+def _is_clear(evidence: SightViewEvidence, config: DecisionConfig) -> bool:
+    """Very much agrees, tightly, from all sides."""
+    return (
+        evidence.oriented_overlap_ratio >= config.clear_overlap
+        and evidence.tight_ratio >= config.min_tight_where_clear
+        and evidence.weakest_constraint >= config.weak_constraint
+    )
+
+
+def _contradicted_margin(evidence: SightViewEvidence, config: DecisionConfig) -> float:
+    factor = config.blocked_factor_where_clear if _is_clear(evidence, config) else 1.0
+    return math.log(factor * config.max_contradicted / max(evidence.contradicted_ratio, 10 * _FLOOR))
 
 
 def _plain_margins(evidence: SightViewEvidence, config: DecisionConfig) -> Margins:
     agreeing = max(evidence.oriented_overlap_ratio, _FLOOR)
     constraint = max(evidence.constraint_ratio, 0.1 * _FLOOR)
+    free = _free_margin(evidence, config.max_blocked_per_overlap, config)
     return Margins(
-        free=_free_margin(evidence, config.max_blocked_per_overlap, config),
+        free=min(free, _contradicted_margin(evidence, config)),
         same_side=math.log(config.max_opposed_per_overlap * agreeing / (evidence.opposed_ratio + _FLOOR)),
         overlap=math.log(min(agreeing / config.min_oriented_overlap, constraint / config.min_constraint)),
     )

@@ -8,6 +8,8 @@ import numpy as np
 
 from svc_ros.core.scan import IndexArray, frozen_array
 
+_FEW = 40  # lines, of which a share would say nothing
+
 
 @dataclass(frozen=True, eq=False)
 class SightLines:
@@ -91,6 +93,16 @@ class SightViewEvidence:
         """Whether every line of both scans was looked at."""
         return self.source_in_target.complete and self.target_in_source.complete
 
+    @property
+    def contradicted_ratio(self) -> float:
+        """Of the lines along which a scan shows surface that the other lacks, the share that this surface blocks.
+
+        Seen from elsewhere most of such surface lies behind what the observer saw: of a right pose few are blocked, of
+        a wrong one about half, however much else agrees. Next to 0 where there are next to none.
+        """
+        both = (self.source_in_target, self.target_in_source)
+        return sum(lines.num_blocked for lines in both) / max(sum(lines.num_observed for lines in both), _FEW)
+
     def numbers(self) -> dict[str, float | int]:
         """The evidence as flat key-values, for messages, files and the decision's model."""
         near, far = self.source_in_target, self.target_in_source
@@ -103,6 +115,7 @@ class SightViewEvidence:
             "constraint_ratio": self.constraint_ratio,
             "weakest_constraint": self.weakest_constraint,
             "tight_ratio": self.tight_ratio,
+            "contradicted_ratio": self.contradicted_ratio,
             "scattered_ratio_source_in_target": near.scattered_ratio,
             "scattered_ratio_target_in_source": far.scattered_ratio,
             "observed_ratio_source_in_target": near.observed_ratio,
