@@ -2,31 +2,42 @@
 
 from __future__ import annotations
 
+import json
+import time
+from collections.abc import Iterable
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import rclpy
+from nav_msgs.msg import Odometry
+from nav_msgs.msg import Path as PathMessage
+from rcl_interfaces.srv import SetParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
+from std_srvs.srv import Trigger
 
+from svc_ros.io.bags import Bag
 from svc_ros.io.stamps import ns_from_stamp, text_from_ns
-from svc_ros.ros.bag_player import PairPlayer
+from svc_ros.ros.bag_player import PairPlayer, ros_cloud
 from svc_ros.ros.collector import DecisionCollector, spin_until
 from svc_ros.ros.conversions import cloud_message
 from svc_ros.ros.processes import ChildProcess, local_environment
 
 RELIABLE_INPUTS = [f"qos_overrides./{side}_points.subscription.reliability:=reliable" for side in ("source", "target")]
 SECOND = 1_000_000_000
+Self = TypeVar("Self", bound="NodeBench")
 
 
-class Bench:
-    """`with Bench(tmp_path, domain_id, {"preset": "lidar_indoor"}) as bench:` has a node that is ready."""
+class NodeBench:
+    """A node in a second process, and a node here that listens to its decisions; subclasses say what they play."""
 
-    def __init__(self, folder: Path, domain_id: int, parameters: dict[str, str] | None = None) -> None:
-        settings = [f"{name}:={value}" for name, value in (parameters or {}).items()]
-        args = ["--ros-args", *(part for setting in [*settings, *RELIABLE_INPUTS] for part in ("-p", setting))]
+    def __init__(self, folder: Path, domain_id: int, settings: list[str]) -> None:
+        args = ["--ros-args", *(part for setting in settings for part in ("-p", setting))]
         self.process = ChildProcess("svc_ros.ros.node", args, local_environment(domain_id), folder / "node.log")
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain_id)
@@ -34,11 +45,13 @@ class Bench:
         self.executor = SingleThreadedExecutor(context=self._context)
         self.executor.add_node(self.node)
         self.collector = DecisionCollector(self.node, self.executor)
-        self.player = PairPlayer(self.node, self.executor, "/source_points", "/target_points")
 
-    def __enter__(self) -> Bench:
+    def wait_for_subscribers(self, timeout_s: float) -> bool:
+        raise NotImplementedError
+
+    def __enter__(self: Self) -> Self:
         self.process.__enter__()
-        started = self.player.wait_for_subscribers(30.0)
+        started = self.wait_for_subscribers(30.0)
         ready = started and spin_until(self.executor, lambda: "ready:" in self.process.output(), 60.0)
         if not ready:
             self.__exit__()
@@ -55,6 +68,42 @@ class Bench:
     def answers(self):
         return self.collector.answers
 
+    def decisions_on(self, stamp_ns: int) -> list[dict[str, str]]:
+        return [d for d in self.answers.decisions if d["source_stamp"] == text_from_ns(stamp_ns)]
+
+    def settle(self, seconds: float = 0.5) -> None:
+        """Receive what is still on its way."""
+        spin_until(self.executor, lambda: False, seconds)
+
+    def call(self, service_type, name: str, request):
+        """The node's answer to a service call."""
+        client = self.node.create_client(service_type, f"/svc_registration/{name}")
+        assert client.wait_for_service(timeout_sec=10.0)
+        future = client.call_async(request)
+        assert spin_until(self.executor, future.done, 20.0)
+        self.node.destroy_client(client)
+        return future.result()
+
+    def set_parameter(self, name: str, value) -> None:
+        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+        (result,) = self.call(SetParameters, "set_parameters", request).results
+        assert result.successful, result.reason
+
+    def status(self):
+        return json.loads(self.call(Trigger, "status", Trigger.Request()).message)
+
+
+class Bench(NodeBench):
+    """`with Bench(tmp_path, domain_id, {"preset": "lidar_indoor"}) as bench:` has a node that is ready for pairs."""
+
+    def __init__(self, folder: Path, domain_id: int, parameters: dict[str, str] | None = None) -> None:
+        settings = [f"{name}:={value}" for name, value in (parameters or {}).items()]
+        super().__init__(folder, domain_id, [*settings, *RELIABLE_INPUTS])
+        self.player = PairPlayer(self.node, self.executor, "/source_points", "/target_points")
+
+    def wait_for_subscribers(self, timeout_s: float) -> bool:
+        return self.player.wait_for_subscribers(timeout_s)
+
     def decide(self, source: PointCloud2, target: PointCloud2, timeout_s: float = 60.0) -> dict[str, str]:
         """Publish one pair and return its decision."""
         self.player.publish(source, target)
@@ -63,12 +112,45 @@ class Bench:
         (decision,) = self.decisions_on(stamp_ns)
         return decision
 
-    def decisions_on(self, stamp_ns: int) -> list[dict[str, str]]:
-        return [d for d in self.answers.decisions if d["source_stamp"] == text_from_ns(stamp_ns)]
 
-    def settle(self, seconds: float = 0.5) -> None:
-        """Receive what is still on its way."""
-        spin_until(self.executor, lambda: False, seconds)
+class StreamBench(NodeBench):
+    """A node that follows a stream; what it says is in `answers`, `odometry` and `paths`."""
+
+    def __init__(self, folder: Path, domain_id: int, parameters: dict[str, str]) -> None:
+        settings = [f"{name}:={value}" for name, value in parameters.items()]
+        super().__init__(folder, domain_id, [*settings, "qos_overrides./points.subscription.reliability:=reliable"])
+        self.points = self.node.create_publisher(PointCloud2, "/points", QoSProfile(depth=100))
+        self.odometry: list[Odometry] = []
+        self.paths: list[PathMessage] = []
+        self.node.create_subscription(Odometry, "/svc_registration/odometry", self.odometry.append, 100)
+        self.node.create_subscription(PathMessage, "/svc_registration/path", self.paths.append, 10)
+
+    def wait_for_subscribers(self, timeout_s: float) -> bool:
+        return spin_until(self.executor, self.points.get_subscription_count, timeout_s)
+
+    def play(self, clouds: Iterable[PointCloud2], rate_hz: float) -> int:
+        """Publish at that rate, and receive meanwhile; returns how many."""
+        start, num_played = time.monotonic(), 0
+        for num_played, message in enumerate(clouds, 1):
+            self.points.publish(message)
+            due = start + num_played / rate_hz
+            spin_until(self.executor, lambda due=due: time.monotonic() >= due, 60.0)
+        return num_played
+
+    def decide(self, message: PointCloud2, timeout_s: float = 30.0) -> dict[str, str]:
+        """Publish one scan and return its decision; an earlier one on the same stamp does not count."""
+        stamp_ns = ns_from_stamp(message.header.stamp)
+        before = len(self.decisions_on(stamp_ns))
+        self.points.publish(message)
+        is_decided = spin_until(self.executor, lambda: len(self.decisions_on(stamp_ns)) > before, timeout_s)
+        assert is_decided, self.process.output()
+        return self.decisions_on(stamp_ns)[-1]
+
+
+def recorded_clouds(bag_path: Path, topic: str | None = None) -> list[PointCloud2]:
+    """The clouds of a bag as messages that can be published."""
+    with Bag(bag_path) as bag:
+        return [ros_cloud(message) for _, message in bag.raw_clouds(topic)]
 
 
 def cloud(points: np.ndarray, stamp_s: float, frame_id: str = "lidar") -> PointCloud2:

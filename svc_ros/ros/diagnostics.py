@@ -58,6 +58,7 @@ class Statistics:
     def __init__(self, inputs: Mapping[str, bool]) -> None:
         self.inputs = {name: InputMonitor(is_needed) for name, is_needed in inputs.items()}
         self.qos_problems: dict[str, str] = {}
+        self.num_lost: dict[str, int] = {}  # messages of a topic that the middleware lost, and says so
         self.fault = ""
         self._lock = threading.Lock()
         self._verdicts: Counter[str] = Counter({verdict.value: 0 for verdict in Verdict})
@@ -131,6 +132,7 @@ def _input_status(statistics: Statistics, now: float) -> DiagnosticStatus:
         if is_expected and monitor.silence_s(now) > _STALE_AFTER_S:
             silent.append(side)
     values |= {f"qos_{topic}": text for topic, text in statistics.qos_problems.items()}
+    values |= {f"lost_{topic}": count for topic, count in statistics.num_lost.items()}
     if statistics.qos_problems:
         return _status("input", _ERROR, "incompatible QoS: " + ", ".join(statistics.qos_problems), values)
     if silent:

@@ -9,7 +9,7 @@ from typing import Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
-from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
+from rclpy.event_handler import QoSMessageLostInfo, QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -93,9 +93,12 @@ class Inputs:
             self._statistics.qos_problems[topic] = f"{info.last_policy_kind} differs from the publisher's"
             self._node.get_logger().error(f"{topic}: a publisher's QoS does not fit; see qos_overrides./{topic}")
 
+        def on_lost(info: QoSMessageLostInfo) -> None:
+            self._statistics.num_lost[topic] = info.total_count
+
         subscription = self._node.create_subscription(
             kind, topic, callback, qos,
-            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=on_incompatible),
+            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=on_incompatible, message_lost=on_lost),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )  # fmt: skip
         self._subscriptions.append(subscription)

@@ -52,6 +52,7 @@ class Services:
             "preset": self._parameters.preset_name,
             "method": self._parameters.config.method,
             "received": {name: monitor.num_received for name, monitor in session.statistics.inputs.items()},
+            "lost": dict(session.statistics.num_lost),
             **session.flow(),
             **session.statistics.numbers(),
         }
