@@ -1,0 +1,234 @@
+"""The node class in the user's own process: lifecycle, several nodes at once, faults in the worker, simulated time."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
+
+from lifecycle_msgs.msg import Transition  # noqa: E402
+from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
+from mini_data import POSES, scan_room  # noqa: E402
+from rclpy.context import Context  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.node import Node  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.qos import QoSProfile  # noqa: E402
+from ros_bench import cloud  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
+from sensor_msgs.msg import PointCloud2  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
+
+from svc_ros.core.errors import ConfigError, MissingDependencyError  # noqa: E402
+from svc_ros.ros.bag_player import PairPlayer  # noqa: E402
+from svc_ros.ros.collector import DecisionCollector, spin_until  # noqa: E402
+from svc_ros.ros.processes import own_domain_id  # noqa: E402
+from svc_ros.ros.registration_node import RegistrationNode  # noqa: E402
+
+pytestmark = pytest.mark.dds
+
+SCANS = [scan_room(T, seed=k) for k, T in enumerate(POSES)]
+
+
+class Host:
+    """One context and one executor, as a user's own program has them."""
+
+    def __init__(self, domain_id: int) -> None:
+        self.context = Context()
+        rclpy.init(context=self.context, domain_id=domain_id)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.node = Node("host", context=self.context)
+        self.executor.add_node(self.node)
+        self.nodes: list[RegistrationNode] = []
+
+    def start(self, name: str = "svc_registration", **parameters) -> RegistrationNode:
+        reliable = {f"qos_overrides./{t}.subscription.reliability": "reliable" for t in
+                    ("points", "source_points", "target_points")}  # fmt: skip
+        values = {"preset": "lidar_indoor", "process_every": True, **reliable, **parameters}
+        given = [Parameter(key, value=value) for key, value in values.items()]
+        node = RegistrationNode(context=self.context, node_name=name, parameter_overrides=given)
+        self.nodes.append(node)
+        self.executor.add_node(node)
+        return node
+
+    def call(self, service_type, name, request):
+        client = self.node.create_client(service_type, name)
+        assert spin_until(self.executor, client.service_is_ready, 10.0)
+        future = client.call_async(request)
+        assert spin_until(self.executor, future.done, 20.0)
+        self.node.destroy_client(client)
+        return future.result()
+
+    def change(self, transition: int) -> bool:
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return self.call(ChangeState, "/svc_registration/change_state", request).success
+
+    def state(self) -> str:
+        return self.call(GetState, "/svc_registration/get_state", GetState.Request()).current_state.label
+
+    def status(self, name: str = "svc_registration"):
+        return json.loads(self.call(Trigger, f"/{name}/status", Trigger.Request()).message)
+
+    def close(self) -> None:
+        for node in self.nodes:
+            assert node.stop(30.0)
+            self.executor.remove_node(node)
+            node.destroy_node()
+        self.executor.shutdown(timeout_sec=1.0)
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+@pytest.fixture
+def host(monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with contextlib.closing(Host(own_domain_id(30))) as host:
+        yield host
+
+
+class Pairs:
+    """Plays pairs to the node, and collects its decisions."""
+
+    def __init__(self, host: Host) -> None:
+        self._host = host
+        self.collector = DecisionCollector(host.node, host.executor)
+        self._player = PairPlayer(host.node, host.executor, "/source_points", "/target_points")
+        assert self._player.wait_for_subscribers(10.0)
+
+    def decide(self, stamp_s: float):
+        before = len(self.collector.answers.decisions)
+        self._player.publish(cloud(SCANS[1], stamp_s), cloud(SCANS[0], stamp_s))
+        assert self.collector.wait_for_decisions(before + 1, 30.0)
+        return self.collector.answers.decisions[-1]
+
+
+def test_without_autostart_the_node_waits_for_its_transitions(host):
+    node = host.start(autostart=False)
+    assert host.state() == "unconfigured"
+    assert node.subscriptions == [] or all("points" not in s.topic_name for s in node.subscriptions)
+    assert host.change(Transition.TRANSITION_CONFIGURE)
+    assert host.state() == "inactive"
+    pairs = Pairs(host)
+    assert pairs.decide(1.0)["reason"] == "inactive"
+    assert host.change(Transition.TRANSITION_ACTIVATE)
+    assert pairs.decide(2.0)["verdict"] == "accepted"
+    assert host.change(Transition.TRANSITION_DEACTIVATE)
+    assert pairs.decide(3.0)["reason"] == "inactive"
+
+
+def test_cleanup_gives_everything_back_and_the_node_can_be_configured_again(host):
+    node = host.start()
+    assert host.state() == "active"
+    assert Pairs(host).decide(1.0)["verdict"] == "accepted"
+    assert host.change(Transition.TRANSITION_DEACTIVATE)
+    assert host.change(Transition.TRANSITION_CLEANUP)
+    assert not [s.topic_name for s in node.subscriptions if "points" in s.topic_name]
+    assert not [p.topic_name for p in node.publishers if "svc_registration" in p.topic_name]
+    assert not [s.srv_name for s in node.services if "status" in s.srv_name]
+    assert host.change(Transition.TRANSITION_CONFIGURE)
+    assert host.change(Transition.TRANSITION_ACTIVATE)
+    assert Pairs(host).decide(2.0)["verdict"] == "accepted"
+    assert host.status()["jobs"]["received"] == 1
+    assert host.change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
+    assert host.state() == "finalized"
+
+
+def test_what_prevents_the_configuration_is_raised_or_said_and_the_node_stays_unconfigured(host, capfd):
+    with pytest.raises(MissingDependencyError, match="sensor_frame needs tf2_ros"):
+        host.start("raised", sensor_frame="lidar")
+    with pytest.raises(ConfigError, match="did you mean 'pair'"):
+        host.start("refused", mode="pairs")
+    host.start(sensor_frame="lidar", autostart=False)
+    assert not host.change(Transition.TRANSITION_CONFIGURE)
+    assert host.state() == "unconfigured"
+    assert "cannot be configured: sensor_frame needs tf2_ros" in capfd.readouterr().err
+
+
+def test_nodes_of_all_modes_live_in_one_process(host):
+    host.start("pairs")
+    host.start("motion", mode="scan_matching")
+    host.start("loops", mode="loop_closure")
+    collectors = [DecisionCollector(host.node, host.executor, f"/{name}") for name in ("pairs", "motion")]
+    player = PairPlayer(host.node, host.executor, "/source_points", "/target_points")
+    points = host.node.create_publisher(PointCloud2, "/points", QoSProfile(depth=10))
+    assert player.wait_for_subscribers(10.0)
+    assert spin_until(host.executor, lambda: points.get_subscription_count() == 2, 10.0)
+    player.publish(cloud(SCANS[1], 1.0), cloud(SCANS[0], 1.0))
+    points.publish(cloud(SCANS[0], 1.0))
+    for collector in collectors:
+        assert collector.wait_for_decisions(1, 30.0)
+        assert collector.answers.decisions[0]["verdict"] == "accepted"
+    assert spin_until(host.executor, lambda: host.status("loops")["worker"]["keyframes"] == 1, 30.0)
+    assert [host.status(name)["mode"] for name in ("pairs", "motion", "loops")] == [
+        "pair", "scan_matching", "loop_closure"
+    ]  # fmt: skip
+
+
+def test_an_exception_in_the_worker_is_a_decision_and_the_next_pair_is_served(host, monkeypatch):
+    node = host.start()
+    pairs = Pairs(host)
+    assert pairs.decide(1.0)["verdict"] == "accepted"
+
+    def broken(*_args):
+        raise RuntimeError("out of cheese")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(node._session.engine, "process", broken)
+        decision = pairs.decide(2.0)
+    assert (decision["verdict"], decision["reason"]) == ("rejected", "internal_error")
+    assert decision["detail"] == "RuntimeError: out of cheese"
+    assert pairs.decide(3.0)["verdict"] == "accepted"
+    assert host.status()["jobs"] == {"received": 3, "pending": 0, "without_candidate": 0}
+
+
+@pytest.mark.parametrize("in_time", [True, False], ids=["clock-first", "cloud-first"])
+def test_a_clock_that_jumps_back_begins_anew_once(host, in_time):
+    host.start(mode="scan_matching", use_sim_time=True)
+    clock = host.node.create_publisher(Clock, "/clock", QoSProfile(depth=10))
+    points = host.node.create_publisher(PointCloud2, "/points", QoSProfile(depth=10))
+    collector = DecisionCollector(host.node, host.executor)
+    assert spin_until(host.executor, lambda: clock.get_subscription_count() and points.get_subscription_count(), 10.0)
+
+    def tick(seconds):
+        message = Clock()
+        message.clock.sec = seconds
+        clock.publish(message)
+        spin_until(host.executor, lambda: False, 0.3)
+
+    def origin(stamp_s):
+        before = len(collector.answers.decisions)
+        points.publish(cloud(SCANS[0], stamp_s))
+        assert collector.wait_for_decisions(before + 1, 30.0)
+        return collector.answers.decisions[-1]["origin"]
+
+    tick(100)
+    assert [origin(99.8), origin(99.9)] == ["start", "motion"]
+    if in_time:
+        tick(50)
+        assert origin(49.9) == "start"
+    else:
+        assert origin(49.9) == "start"
+        tick(50)
+    assert origin(50.0) == "motion"
+
+
+def test_pairs_that_wait_when_the_clock_jumps_back_are_stale(host):
+    host.start(use_sim_time=True)
+    clock = host.node.create_publisher(Clock, "/clock", QoSProfile(depth=10))
+    source = host.node.create_publisher(PointCloud2, "/source_points", QoSProfile(depth=10))
+    collector = DecisionCollector(host.node, host.executor)
+    assert spin_until(host.executor, lambda: clock.get_subscription_count() and source.get_subscription_count(), 10.0)
+    for seconds in (100, 50):
+        message = Clock()
+        message.clock.sec = seconds
+        clock.publish(message)
+        spin_until(host.executor, lambda: False, 0.3)
+        if seconds == 100:
+            source.publish(cloud(SCANS[1], 99.9))
+            spin_until(host.executor, lambda: False, 0.3)
+    assert collector.wait_for_decisions(1, 10.0)
+    (decision,) = collector.answers.decisions
+    assert (decision["verdict"], decision["reason"]) == ("dropped", "stale")
