@@ -12,6 +12,9 @@ from svc_ros.core.evidence import SightLines, SightViewEvidence
 from svc_ros.core.result import Reason, Verdict
 from svc_ros.core.sight_view import Allowance
 
+_TRAFFIC = 2.2  # factor on the blocked borders beyond which tight contact makes nothing good
+_TIGHT = 0.97  # a share beyond this is no better
+_HOPELESS = 0.5  # blocked share over overlap that no other evidence makes good
 _BLOCKED_WEIGHT = 1.5  # a blocked line counts as much as this many agreeing points
 _FLOOR = 1e-3  # smallest share that logarithms see; one sight line in a thousand
 
@@ -55,70 +58,68 @@ def score_allowance(least_score: float) -> Allowance:
     return lambda oriented_overlap_ratio: (oriented_overlap_ratio - least_score) / _BLOCKED_WEIGHT
 
 
-def blocked_allowance(config: DecisionConfig) -> Allowance:
+def blocked_allowance() -> Allowance:
     """The blocked share beyond which no pose is accepted, nor casts doubt on another."""
-    largest = config.max_blocked_per_overlap * max(config.blocked_factor_where_clear, 1.0 / config.rival_strictness)
-    largest = max(largest, config.max_blocked_where_weak)
-    return lambda oriented_overlap_ratio: largest * max(oriented_overlap_ratio, _FLOOR)
+    return lambda oriented_overlap_ratio: _HOPELESS * max(oriented_overlap_ratio, _FLOOR)
 
 
 def measure_margins(evidence: SightViewEvidence, config: DecisionConfig) -> Margins:
     """Compare the evidence with the borders; what blocks and what is opposed counts in shares of what agrees.
 
-    Where the agreeing surfaces hardly resist a shift in some direction (a corridor), many wrong poses agree; there
-    the sight lines must be freer and the surfaces must lie on each other tightly. Elsewhere, too, a room that only
-    looks alike agrees loosely: the less tightly, the freer the lines must be. Where very much agrees tightly from all
-    sides, which no wrong pose brings about, more traffic may stand in the way.
+    Sight lines and contact are weighed together: traffic blocks many lines of a pose whose surfaces lie tightly on each
+    other, a room that looks alike blocks few and agrees loosely. Where the agreeing surfaces hardly resist a shift in
+    some direction (a corridor), many wrong poses agree, and each border has to be kept on its own as well.
     """
     plain = _plain_margins(evidence, config)
+    most = _free_margin(evidence, _TRAFFIC * config.max_blocked_per_overlap, config, _TRAFFIC)
+    free = min(_weigh(evidence, config) / config.sharpness, most, _free_space_margin(evidence, config))
     if evidence.weakest_constraint >= config.weak_constraint:
-        free = _free_margin(evidence, config.max_blocked_per_overlap, config) + _allowance(evidence, config)
-        free = min(free, _contradicted_margin(evidence, config), _free_space_margin(evidence, config))
         return dataclasses.replace(plain, free=free)
     tight = _log_odds(evidence.tight_ratio) - _log_odds(config.min_tight_where_weak)
-    free = _free_margin(evidence, config.max_blocked_where_weak, config)
-    free = min(free, _contradicted_margin(evidence, config), _free_space_margin(evidence, config))
+    free = min(free, _free_margin(evidence, config.max_blocked_where_weak, config))
     return Margins(free=free, same_side=plain.same_side, overlap=min(plain.overlap, tight))
 
 
-def _allowance(evidence: SightViewEvidence, config: DecisionConfig) -> float:
-    """Logarithm of the factor on the blocked borders."""
-    if _is_clear(evidence, config):
-        return math.log(config.blocked_factor_where_clear)
-    return min(_log_odds(evidence.tight_ratio) - _log_odds(config.full_tight), 0.0)
-
-
-def _is_clear(evidence: SightViewEvidence, config: DecisionConfig) -> bool:
-    """Very much agrees, tightly, from all sides."""
+def _weigh(evidence: SightViewEvidence, config: DecisionConfig) -> float:
+    """Log odds that the pose is right, by its sight lines and contact (logistic regression)."""
+    blocked, scattered, contradicted, tight = describe_contradiction(evidence)
     return (
-        evidence.oriented_overlap_ratio >= config.clear_overlap
-        and evidence.tight_ratio >= config.min_tight_where_clear
-        and evidence.weakest_constraint >= config.weak_constraint
-    )
+        config.free_offset - config.blocked_weight * blocked - config.scattered_weight * scattered
+        - config.contradicted_weight * contradicted + config.tight_weight * tight
+    )  # fmt: skip
 
 
-def _contradicted_margin(evidence: SightViewEvidence, config: DecisionConfig) -> float:
-    factor = config.blocked_factor_where_clear if _is_clear(evidence, config) else 1.0
-    return math.log(factor * config.max_contradicted / max(evidence.contradicted_ratio, 10 * _FLOOR))
+def describe_contradiction(evidence: SightViewEvidence) -> tuple[float, float, float, float]:
+    """What is weighed: logarithms of the blocked and the scattered share over oriented overlap, both of the worse scan,
+    and of the contradicted ratio; log odds of the tight ratio."""
+    agreeing = max(evidence.oriented_overlap_ratio, _FLOOR)
+    both = (evidence.source_in_target, evidence.target_in_source)
+    blocked = (max(lines.blocked_ratio for lines in both) + _FLOOR) / agreeing
+    scattered = (max(lines.scattered_ratio for lines in both) + _FLOOR) / agreeing
+    contradicted = max(evidence.contradicted_ratio, 10.0 * _FLOOR)
+    tight = min(evidence.tight_ratio, _TIGHT)
+    return math.log(blocked), math.log(scattered), math.log(contradicted), _log_odds(tight)
 
 
 def _plain_margins(evidence: SightViewEvidence, config: DecisionConfig) -> Margins:
     agreeing = max(evidence.oriented_overlap_ratio, _FLOOR)
     constraint = max(evidence.constraint_ratio, 0.1 * _FLOOR)
-    free = _free_margin(evidence, config.max_blocked_per_overlap, config)
     return Margins(
-        free=min(free, _contradicted_margin(evidence, config)),
+        free=_free_margin(evidence, config.max_blocked_per_overlap, config),
         same_side=math.log(config.max_opposed_per_overlap * agreeing / (evidence.opposed_ratio + _FLOOR)),
         overlap=math.log(min(agreeing / config.min_oriented_overlap, constraint / config.min_constraint)),
     )
 
 
-def _free_margin(evidence: SightViewEvidence, max_blocked: float, config: DecisionConfig) -> float:
+def _free_margin(
+    evidence: SightViewEvidence, max_blocked: float, config: DecisionConfig, scattered_factor: float = 1.0
+) -> float:
     agreeing = max(evidence.oriented_overlap_ratio, _FLOOR)
+    max_scattered = scattered_factor * config.max_scattered_per_overlap
 
     def of(lines: SightLines) -> float:
         blocked = math.log(max_blocked * agreeing / (lines.blocked_ratio + _FLOOR))
-        scattered = math.log(config.max_scattered_per_overlap * agreeing / (lines.scattered_ratio + _FLOOR))
+        scattered = math.log(max_scattered * agreeing / (lines.scattered_ratio + _FLOOR))
         return min(blocked, scattered)
 
     return min(of(evidence.source_in_target), of(evidence.target_in_source))

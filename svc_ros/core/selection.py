@@ -169,7 +169,7 @@ def _choose_best(pair: Pair, starts: Array) -> RegistrationResult:
 
 def _look_at_all(pair: Pair, poses: Array) -> list[SightViewEvidence]:
     """Evidence of poses (S, 4, 4): whole for every pose that may be accepted, and for all if none may be."""
-    evidence = pair.look_at_all(list(poses), [decision.blocked_allowance(pair.config.decision)] * len(poses))
+    evidence = pair.look_at_all(list(poses), [decision.blocked_allowance()] * len(poses))
     if any(e.complete and pair.promise(e) > 0 for e in evidence):
         return evidence
     return [e if e.complete else pair.look(T) for e, T in zip(evidence, poses, strict=True)]
