@@ -18,6 +18,8 @@ from svc_ros.core.scan import Array, Scan
 _UNLIMITED_M = 1e9  # the range crop is done by `crop_range`, which knows where the sensor stands
 _MAX_GAPS = 3.0  # a velocity is kept over at most so many of the time spans that it was measured over
 _SMALL_ANGLE = 1e-6
+_CONVERGED = 1e-4  # [m] and [rad] together
+_ROUNDS_AT_ONCE = 4  # ICP keeps the interpreter, 1 to 2 ms a round; between calls other threads get their turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +49,7 @@ class KissMotion:
     def __init__(self, config: Config) -> None:
         self._preprocess = config.preprocess
         self._kiss, self._sweep = _make_kiss(config)
+        self._num_calls = max(config.scan_matching.max_iterations // _ROUNDS_AT_ONCE, 1)
         self._last: tuple[int, Array] | None = None  # stamp and pose of the last kept scan
         self._span_s, self._step = 0.0, np.eye(4)  # the motion that the velocity comes from
 
@@ -76,11 +79,15 @@ class KissMotion:
         self._kiss.local_map.update(motion.map_points, T_odom_scan)
 
     def _align(self, points: Array, T_start: Array) -> Array:
-        sigma = self._kiss.adaptive_threshold.get_threshold()
-        pose = self._kiss.registration.align_points_to_map(
-            points=points, voxel_map=self._kiss.local_map, initial_guess=T_start,
-            max_correspondance_distance=3.0 * sigma, kernel=sigma,
-        )  # fmt: skip
+        sigma, pose = self._kiss.adaptive_threshold.get_threshold(), T_start
+        for _ in range(self._num_calls):
+            last, pose = pose, self._kiss.registration.align_points_to_map(
+                points=points, voxel_map=self._kiss.local_map, initial_guess=pose,
+                max_correspondance_distance=3.0 * sigma, kernel=sigma,
+            )  # fmt: skip
+            angle, distance = se3.pose_error(pose, last)
+            if np.hypot(np.radians(angle), distance) < _CONVERGED:
+                break
         return se3.nearest_pose(pose)
 
     def _predict(self, stamp_ns: int) -> Array:
@@ -141,7 +148,8 @@ def _make_kiss(config: Config) -> tuple[Any, Any]:
         data={"max_range": config.preprocess.max_range_m, "min_range": 0.0, "deskew": True},
         mapping={"voxel_size": limits.map_voxel_size_m, "max_points_per_voxel": 20},
         registration={
-            "max_num_iterations": limits.max_iterations, "convergence_criterion": 1e-4, "max_num_threads": 1
+            "max_num_iterations": min(limits.max_iterations, _ROUNDS_AT_ONCE), "convergence_criterion": _CONVERGED,
+            "max_num_threads": 1,
         },
         adaptive_threshold={
             "fixed_threshold": None, "initial_threshold": limits.first_threshold_m, "min_motion_th": 0.1
