@@ -23,7 +23,7 @@ from std_srvs.srv import Trigger
 
 from svc_ros.io.bags import Bag
 from svc_ros.io.stamps import ns_from_stamp, text_from_ns
-from svc_ros.ros.bag_player import PairPlayer, ros_cloud
+from svc_ros.ros.bag_player import CloudPlayer, ros_cloud
 from svc_ros.ros.collector import DecisionCollector, spin_until
 from svc_ros.ros.conversions import cloud_message
 from svc_ros.ros.processes import ChildProcess, local_environment
@@ -99,7 +99,7 @@ class Bench(NodeBench):
     def __init__(self, folder: Path, domain_id: int, parameters: dict[str, str] | None = None) -> None:
         settings = [f"{name}:={value}" for name, value in (parameters or {}).items()]
         super().__init__(folder, domain_id, [*settings, *RELIABLE_INPUTS])
-        self.player = PairPlayer(self.node, self.executor, "/source_points", "/target_points")
+        self.player = CloudPlayer(self.node, self.executor, "/source_points", "/target_points")
 
     def wait_for_subscribers(self, timeout_s: float) -> bool:
         return self.player.wait_for_subscribers(timeout_s)

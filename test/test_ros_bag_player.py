@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
 
 from mini_data import POSES, pose_between, scan_room
-from ros_bench import SECOND, Bench, cloud, matrix
+from ros_bench import SECOND, Bench, StreamBench, cloud, matrix
 
 from svc_ros.core.se3 import pose_error
 from svc_ros.io.bags import Bag, CloudBagWriter
@@ -81,6 +81,21 @@ def test_bag_is_played_and_every_pair_is_decided(bag_path, tmp_path, monkeypatch
     ]
     for k, transform in enumerate(bench.answers.transforms):
         assert pose_error(matrix(transform), pose_between(k + 1, k))[1] < 0.1
+
+
+def test_bag_is_played_as_scans_and_every_scan_is_decided(bag_path, tmp_path, monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    domain_id = own_domain_id(8)
+    args = [str(bag_path), "--scans", "--rate", "0", "--wait-decisions"]
+    with (
+        StreamBench(tmp_path, domain_id, {"mode": "scan_matching", "preset": "lidar_indoor"}) as bench,
+        ChildProcess("svc_ros.ros.bag_player", args, local_environment(domain_id), tmp_path / "player.log") as player,
+    ):
+        assert bench.collector.wait_for_decisions(3, 60.0), player.output() + bench.process.output()
+        assert player.wait(10.0) == 0, player.output()
+        assert "3 scans played" in player.output()
+    assert [d["source_stamp"] for d in bench.answers.decisions] == [f"{k}.000000000" for k in (1, 2, 3)]
+    assert bench.answers.decisions[0]["origin"] == "start"
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from sensor_msgs.msg import PointCloud2  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from svc_ros.core.errors import ConfigError, MissingDependencyError  # noqa: E402
-from svc_ros.ros.bag_player import PairPlayer  # noqa: E402
+from svc_ros.ros.bag_player import CloudPlayer  # noqa: E402
 from svc_ros.ros.collector import DecisionCollector, spin_until  # noqa: E402
 from svc_ros.ros.processes import own_domain_id  # noqa: E402
 from svc_ros.ros.registration_node import RegistrationNode  # noqa: E402
@@ -95,7 +95,7 @@ class Pairs:
     def __init__(self, host: Host) -> None:
         self._host = host
         self.collector = DecisionCollector(host.node, host.executor)
-        self._player = PairPlayer(host.node, host.executor, "/source_points", "/target_points")
+        self._player = CloudPlayer(host.node, host.executor, "/source_points", "/target_points")
         assert self._player.wait_for_subscribers(10.0)
 
     def decide(self, stamp_s: float):
@@ -152,7 +152,7 @@ def test_nodes_of_all_modes_live_in_one_process(host):
     host.start("motion", mode="scan_matching")
     host.start("loops", mode="loop_closure")
     collectors = [DecisionCollector(host.node, host.executor, f"/{name}") for name in ("pairs", "motion")]
-    player = PairPlayer(host.node, host.executor, "/source_points", "/target_points")
+    player = CloudPlayer(host.node, host.executor, "/source_points", "/target_points")
     points = host.node.create_publisher(PointCloud2, "/points", QoSProfile(depth=10))
     assert player.wait_for_subscribers(10.0)
     assert spin_until(host.executor, lambda: points.get_subscription_count() == 2, 10.0)

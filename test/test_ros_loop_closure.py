@@ -21,7 +21,7 @@ from svc_ros.io.datasets import read_dataset
 from svc_ros.io.g2o import read_g2o
 from svc_ros.io.stamps import ns_from_stamp, ns_from_text
 from svc_ros.io.trajectories import read_tum
-from svc_ros.ros.bag_player import PairPlayer
+from svc_ros.ros.bag_player import CloudPlayer
 from svc_ros.ros.collector import spin_until
 from svc_ros.ros.conversions import header, plain_pose, pose_message
 from svc_ros.ros.processes import own_domain_id
@@ -152,7 +152,7 @@ def test_each_walk_after_a_reset_has_a_graph_of_its_own(bench, folder):
 
 @pytest.fixture(scope="module")
 def player(bench):
-    player = PairPlayer(bench.node, bench.executor, "/source_points", "/target_points")
+    player = CloudPlayer(bench.node, bench.executor, "/source_points", "/target_points")
     assert player.wait_for_subscribers(10.0)
     return player
 

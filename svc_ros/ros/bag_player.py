@@ -1,4 +1,4 @@
-"""Plays a bag as pairs: scan k as target, scan k + stride as source, each pair at once.
+"""Plays a bag as pairs: scan k as target, scan k + stride as source, each pair at once; or as the scans of one stream.
 
 Clouds go out as they were recorded, with one exception: the target carries the source's stamp, because a node pairs by
 stamp. The publishers are reliable; the node's inputs are not unless its `qos_overrides` say so.
@@ -67,28 +67,25 @@ def with_stamp_of(cloud: PointCloud2, other: PointCloud2) -> PointCloud2:
     return PointCloud2(header=header(ns_from_stamp(other.header.stamp), cloud.header.frame_id), **fields)
 
 
-class PairPlayer:
-    """Publishes pairs of clouds, reliably."""
+class CloudPlayer:
+    """Publishes clouds on some topics, reliably."""
 
-    def __init__(self, node: Node, executor: SingleThreadedExecutor, source_topic: str, target_topic: str) -> None:
+    def __init__(self, node: Node, executor: SingleThreadedExecutor, *topics: str) -> None:
         self._executor = executor
-        self._source, self._target = (
-            node.create_publisher(PointCloud2, topic, QoSProfile(depth=10)) for topic in (source_topic, target_topic)
-        )
+        self._publishers = [node.create_publisher(PointCloud2, topic, QoSProfile(depth=10)) for topic in topics]
 
     def wait_for_subscribers(self, timeout_s: float) -> bool:
-        """Wait until somebody listens on both topics."""
-        publishers = (self._source, self._target)
-        return spin_until(self._executor, lambda: all(p.get_subscription_count() for p in publishers), timeout_s)
+        """Wait until somebody listens on all topics."""
+        return spin_until(self._executor, lambda: all(p.get_subscription_count() for p in self._publishers), timeout_s)
 
-    def publish(self, source: PointCloud2, target: PointCloud2) -> None:
-        """Send one pair."""
-        self._target.publish(target)
-        self._source.publish(source)
+    def publish(self, *clouds: PointCloud2) -> None:
+        """Send one cloud a topic, the last topic's first."""
+        for publisher, cloud in reversed(list(zip(self._publishers, clouds, strict=True))):
+            publisher.publish(cloud)
 
     def finish(self, timeout_s: float) -> None:
         """Wait until the subscribers have everything."""
-        for publisher in (self._source, self._target):
+        for publisher in self._publishers:
             publisher.wait_for_all_acked(Duration(seconds=timeout_s))
 
 
@@ -111,32 +108,36 @@ def _play(options: argparse.Namespace) -> int:
     node, executor = rclpy.create_node("svc_bag_player"), SingleThreadedExecutor()
     executor.add_node(node)
     collector = DecisionCollector(node, executor, options.node_name) if options.wait_decisions else None
-    player = PairPlayer(node, executor, options.source_topic, options.target_topic)
-    with contextlib.closing(_recorded_pairs(options)) as pairs:
-        first = next(pairs, None)  # a bag that cannot be played is refused before anyone waits
+    topics = [options.points_topic] if options.scans else [options.source_topic, options.target_topic]
+    player = CloudPlayer(node, executor, *topics)
+    with contextlib.closing(_recorded(options)) as items:
+        first = next(items, None)  # a bag that cannot be played is refused before anyone waits
         if first is None:
             raise InputError(f"{options.bag}: expected more than {options.stride} clouds for stride {options.stride}")
         if not player.wait_for_subscribers(options.wait_for_subscribers):
-            topics = f"{options.source_topic} and {options.target_topic}"
-            return _fail(f"nobody subscribed to {topics} in {options.wait_for_subscribers:g} s")
+            return _fail(f"nobody subscribed to {' and '.join(topics)} in {options.wait_for_subscribers:g} s")
         num_played = 0
-        for num_played, (source, target) in enumerate(_paced(first, pairs, options.rate), 1):
-            player.publish(source, target)
-            stamp_ns = ns_from_stamp(source.header.stamp)
+        for num_played, clouds in enumerate(_paced(first, items, options.rate), 1):
+            player.publish(*clouds)
+            stamp_ns = ns_from_stamp(clouds[0].header.stamp)
             if collector and not collector.wait_for_decision_on(stamp_ns, _DECISION_TIMEOUT_S):
-                return _fail(f"no decision on pair {num_played} in {_DECISION_TIMEOUT_S:g} s")
+                return _fail(f"no decision on number {num_played} in {_DECISION_TIMEOUT_S:g} s")
         player.finish(5.0)
-    print(f"bag_player: {num_played} pairs played")
+    print(f"bag_player: {num_played} {'scans' if options.scans else 'pairs'} played")
     return 0
 
 
-def _recorded_pairs(options: argparse.Namespace) -> Generator[tuple[PointCloud2, PointCloud2], None, None]:
+def _recorded(options: argparse.Namespace) -> Generator[tuple[PointCloud2, ...], None, None]:
+    """What is published at once, in the order of the topics."""
     from svc_ros.io.bags import Bag
 
     with Bag(options.bag) as bag:
         topic = bag.resolve_cloud_topic(options.topic)
         clouds = (message for _, message in bag.raw_clouds(topic))
-        yield from islice(pairs_from_clouds(clouds, options.stride), options.limit)
+        if options.scans:
+            yield from islice(((ros_cloud(message),) for message in clouds), options.limit)
+        else:
+            yield from islice(pairs_from_clouds(clouds, options.stride), options.limit)
 
 
 def _paced(first: Any, rest: Iterator[Any], rate_hz: float) -> Iterator[Any]:
@@ -154,17 +155,19 @@ def _fail(text: str) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser("bag_player", description="Play a bag's clouds to the registration node as pairs.")
+    parser = argparse.ArgumentParser("bag_player", description="Play a bag's clouds to the registration node.")
     parser.add_argument("bag", help="ROS 1 or ROS 2 bag")
     parser.add_argument("--topic", help="PointCloud2 topic; may be left out if the bag has only one")
+    parser.add_argument("--scans", action="store_true", help="play single scans, for scan_matching and loop_closure")
     parser.add_argument("--stride", type=_positive, default=1, help="scan k + stride is registered to scan k")
-    parser.add_argument("--rate", type=_not_negative, default=1.0, help="pairs a second; 0: no pause")
-    parser.add_argument("--limit", type=_positive, help="play so many pairs at most")
+    parser.add_argument("--rate", type=_not_negative, default=1.0, help="pairs or scans a second; 0: no pause")
+    parser.add_argument("--limit", type=_positive, help="play so many of them at most")
     parser.add_argument("--source-topic", default="/source_points")
     parser.add_argument("--target-topic", default="/target_points")
+    parser.add_argument("--points-topic", default="/points", help="of --scans")
     parser.add_argument("--wait-for-subscribers", type=_not_negative, default=10.0, metavar="S")
     parser.add_argument(
-        "--wait-decisions", action="store_true", help="send the next pair when the last one has its decision"
+        "--wait-decisions", action="store_true", help="send the next when the last one has its decision"
     )
     parser.add_argument("--node-name", default="/svc_registration", help="the node whose decisions are waited for")
     return parser
