@@ -71,7 +71,7 @@ class CloudPlayer:
     """Publishes clouds on some topics, reliably."""
 
     def __init__(self, node: Node, executor: SingleThreadedExecutor, *topics: str) -> None:
-        self._executor = executor
+        self._node, self._executor = node, executor
         self._publishers = [node.create_publisher(PointCloud2, topic, QoSProfile(depth=10)) for topic in topics]
 
     def wait_for_subscribers(self, timeout_s: float) -> bool:
@@ -87,6 +87,11 @@ class CloudPlayer:
         """Wait until the subscribers have everything."""
         for publisher in self._publishers:
             publisher.wait_for_all_acked(Duration(seconds=timeout_s))
+
+    def destroy(self) -> None:
+        """Give the publishers back."""
+        for publisher in self._publishers:
+            self._node.destroy_publisher(publisher)
 
 
 def main(args: list[str] | None = None) -> int:

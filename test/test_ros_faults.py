@@ -1,0 +1,108 @@
+"""What goes wrong around a working node: service calls and changes in between, publishers that die or do not fit."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from mini_data import POSES, scan_room
+from rclpy.qos import qos_profile_sensor_data
+from ros_bench import Bench, cloud
+from sensor_msgs.msg import PointCloud2
+from std_srvs.srv import SetBool, Trigger
+
+from svc_ros.ros.bag_player import CloudPlayer
+from svc_ros.ros.collector import spin_until
+from svc_ros.ros.processes import own_domain_id
+
+pytestmark = pytest.mark.dds
+
+SCANS = [scan_room(T, seed=k) for k, T in enumerate(POSES)]
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        parameters = {"preset": "lidar_indoor", "process_every": "true"}
+        with Bench(tmp_path_factory.mktemp("node"), own_domain_id(50), parameters) as bench:
+            yield bench
+
+
+@pytest.fixture(autouse=True)
+def _local_discovery(monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+
+def burst(bench, first_stamp: int, count: int):
+    """Pairs whose features have to be computed: none is in the cache. Not faster than the middleware takes them."""
+    for k in range(count):
+        shift = np.array([0.0, 0.0, 0.001 * (first_stamp + k)])
+        bench.player.publish(cloud(SCANS[1] + shift, first_stamp + k), cloud(SCANS[0] + shift, first_stamp + k))
+        bench.settle(0.02)
+
+
+def test_services_and_parameters_are_served_between_pairs_and_no_pair_is_lost(bench):
+    before = len(bench.answers.decisions)
+    burst(bench, 100, 8)
+    moments = []
+    for k in range(6):
+        counts = bench.status()
+        moments.append(counts)
+        assert counts["jobs"]["received"] == counts["jobs"]["pending"] + sum(counts["decisions"].values())
+        bench.set_parameter("method", "sc2" if k % 2 else "svc")
+        if counts["decisions"]["accepted"]:
+            answer = bench.call(Trigger, "verify", Trigger.Request())
+            assert answer.success, answer.message
+            assert json.loads(answer.message)["verdict"] == "accepted"
+    bench.set_parameter("method", "svc")
+    assert bench.collector.wait_for_decisions(before + 8, 60.0)
+    bench.settle()
+    assert [d["verdict"] for d in bench.answers.decisions[before:]] == ["accepted"] * 8
+    assert any(counts["jobs"]["pending"] > 1 for counts in moments)  # there was work in between
+
+
+def test_pairs_that_wait_when_the_node_is_disabled_or_reset_are_dropped_with_their_reason(bench):
+    for first, reason in ((200, "inactive"), (300, "stale")):
+        before = len(bench.answers.decisions)
+        burst(bench, first, 6)
+        assert spin_until(bench.executor, lambda: bench.status()["worker"]["queue"] >= 3, 10.0)
+        if reason == "inactive":
+            assert bench.call(SetBool, "enable", SetBool.Request(data=False)).success
+        else:
+            assert bench.call(Trigger, "reset", Trigger.Request()).success
+        assert bench.collector.wait_for_decisions(before + 6, 30.0)
+        assert bench.call(SetBool, "enable", SetBool.Request(data=True)).success
+        decisions = bench.answers.decisions[before:]
+        assert {(d["verdict"], d["reason"]) for d in decisions} == {("accepted", "ok"), ("dropped", reason)}
+    assert bench.status()["jobs"]["pending"] == 0
+
+
+def test_publishers_that_die_are_replaced_by_the_next(bench):
+    assert bench.decide(cloud(SCANS[1], 400.0), cloud(SCANS[0], 400.0))["verdict"] == "accepted"
+    bench.player.destroy()
+    bench.settle(1.0)
+    bench.player = CloudPlayer(bench.node, bench.executor, "/source_points", "/target_points")
+    assert bench.player.wait_for_subscribers(10.0)
+    assert bench.decide(cloud(SCANS[1], 401.0), cloud(SCANS[0], 401.0))["verdict"] == "accepted"
+
+
+def test_a_publisher_whose_qos_does_not_fit_is_an_error_in_diagnostics(bench):
+    found = []
+
+    def on_diagnostics(message):
+        found.extend(s for s in message.status if "incompatible QoS" in s.message)
+
+    subscription = bench.node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 10)
+    publisher = bench.node.create_publisher(PointCloud2, "/source_points", qos_profile_sensor_data)
+    assert spin_until(bench.executor, lambda: found, 10.0), bench.process.output()
+    bench.node.destroy_publisher(publisher)
+    bench.node.destroy_subscription(subscription)
+    assert found[0].level == DiagnosticStatus.ERROR
+    assert "source_points" in found[0].message
+    assert "qos_overrides./source_points" in bench.process.output()
