@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import sys
 
 import pytest
 
@@ -145,6 +146,13 @@ def test_what_prevents_the_configuration_is_raised_or_said_and_the_node_stays_un
     assert not host.change(Transition.TRANSITION_CONFIGURE)
     assert host.state() == "unconfigured"
     assert "cannot be configured: sensor_frame needs tf2_ros" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("mode", ["scan_matching", "loop_closure"])
+def test_motion_without_its_package_says_what_to_install(host, monkeypatch, mode):
+    monkeypatch.setitem(sys.modules, "kiss_icp.kiss_icp", None)
+    with pytest.raises(MissingDependencyError, match="pip install 'kiss-icp"):
+        host.start(mode=mode)
 
 
 def test_nodes_of_all_modes_live_in_one_process(host):

@@ -16,6 +16,7 @@ from svc_ros.core.errors import InputError
 from svc_ros.core.result import Reason
 from svc_ros.core.scan import Array, Scan
 from svc_ros.pipeline.decide import refused
+from svc_ros.pipeline.scan_matching import ScanMatcher
 from svc_ros.ros.decision import Decision, Engine, labels
 from svc_ros.ros.diagnostics import Statistics, statuses
 from svc_ros.ros.frames import Frames
@@ -107,6 +108,8 @@ class Session:
 
     def _make_engine(self) -> Engine:
         settings, sources = self._parameters.settings, _Sources(self)
+        if settings.mode == "scan_matching" or (settings.mode == "loop_closure" and settings.odometry == "own"):
+            ScanMatcher(self._parameters.config)  # a package that is missing is said now, not with the first scan
         if settings.mode == "scan_matching":
             return MatchingEngine(sources.origin, sources.base, settings.odom_frame)
         if settings.mode == "loop_closure":
