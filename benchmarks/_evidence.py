@@ -28,6 +28,12 @@ Numbers = Mapping[str, float]
 # A view is a pose and a way to look at it: refined as `verify` does; as given; refined, with the paper's cone.
 VIEWS = ("refined", "given", "cone")
 _EVERY = 10  # one pose in so many is also given to `verify` itself
+OPEN = 10.0  # a border that nothing reaches
+NO_SIGHT_LINES: Mapping[str, Any] = {
+    "free_offset": 100.0, "blocked_weight": 0.0, "scattered_weight": 0.0, "contradicted_weight": 0.0,
+    "tight_weight": 0.0, "max_blocked_per_overlap": OPEN, "max_scattered_per_overlap": OPEN,
+    "max_blocked_where_weak": OPEN, "max_free_blocked_per_overlap": OPEN,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -65,10 +71,23 @@ def evidence_of(numbers: Numbers) -> SightViewEvidence:
         num_lines, num_blocked = int(numbers[f"num_lines_{way}"]), int(numbers[f"num_blocked_{way}"])
         names = np.zeros(num_blocked, np.int64)
         observed, scattered = (round(numbers[f"{name}_ratio_{way}"] * num_lines) for name in ("observed", "scattered"))
-        return SightLines(num_lines, observed, names, names, scattered)
+        free = (int(numbers[f"{name}_{way}"]) for name in ("num_free", "num_free_blocked"))
+        return SightLines(num_lines, observed, names, names, scattered, True, *free)
 
     shares = {f.name: numbers[f.name] for f in dataclasses.fields(SightViewEvidence) if f.name in numbers}
     return SightViewEvidence(lines("source_in_target"), lines("target_in_source"), **shares)
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """Poses to measure between two scans (source, target); reference: the true pose (4, 4), of right poses only."""
+
+    dataset: str
+    pair: str
+    scans: tuple[PreparedScan, PreparedScan]
+    config: Config
+    candidates: Sequence[Candidate]
+    reference: Array
 
 
 def gather(job: tuple[Dataset, CandidatePair, int]) -> list[Row]:
@@ -79,13 +98,18 @@ def gather(job: tuple[Dataset, CandidatePair, int]) -> list[Row]:
     reference = next(c.T_target_source for c in labelled.candidates if c.origin == "reference")
     name = f"{labelled.source} -> {labelled.target}"
     chosen = [c for c in labelled.candidates if c.label != "grey"]
+    return measure_all(Judged(dataset.name, name, (source, target), config, chosen, reference), number)
+
+
+def measure_all(judged: Judged, number: int) -> list[Row]:
+    """The rows of all poses of a pair; `number` spreads the sample that `verify` itself is asked about."""
     rows = []
-    for k, candidate in enumerate(chosen):
-        row = _measure((source, target), config, candidate, reference)
+    for k, candidate in enumerate(judged.candidates):
+        row = _measure(judged.scans, judged.config, candidate, judged.reference)
         if (k + number) % _EVERY == 0:
-            result = verify(source, target, candidate.T_target_source, config)
+            result = verify(*judged.scans, candidate.T_target_source, judged.config)
             row = dataclasses.replace(row, verified=(result.verdict.value, float(result.probability or 0.0)))
-        rows.append(dataclasses.replace(row, dataset=dataset.name, pair=name))
+        rows.append(dataclasses.replace(row, dataset=judged.dataset, pair=judged.pair))
     return rows
 
 
@@ -121,12 +145,10 @@ def slipped(pair: selection.Pair, T: Array) -> list[Array]:
 
 
 def _may_be_accepted(evidence: SightViewEvidence, config: DecisionConfig) -> bool:
-    """Whether any rule that is compared might accept it: without the blocked and opposed borders, low overlap."""
+    """Whether any rule that is compared might accept it: whatever is blocked or opposed, on one plane alone."""
     loose = dataclasses.replace(
-        config, max_blocked_per_overlap=10.0, max_scattered_per_overlap=10.0, max_opposed_per_overlap=10.0,
-        min_oriented_overlap=0.5 * config.min_oriented_overlap, min_constraint=1e-4, weak_constraint=0.0,
-        full_tight=0.0, max_contradicted=10.0,
-    )  # fmt: skip
+        config, **NO_SIGHT_LINES, max_opposed_per_overlap=OPEN, min_constraint=1e-4, weak_constraint=0.0
+    )
     plain = dataclasses.replace(evidence, oriented_overlap_ratio=evidence.overlap_ratio)
     return any(decision.decide(e, loose).verdict is Verdict.ACCEPTED for e in (evidence, plain))
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
-from _evidence import Numbers, Row, evidence_of
+from _evidence import NO_SIGHT_LINES, OPEN, Numbers, Row, evidence_of
 from scipy.optimize import minimize
 
 from svc_ros.core import decision
@@ -17,7 +18,6 @@ from svc_ros.core.result import Verdict
 from svc_ros.core.scan import Array
 
 MOVED_AWAY = 0.01  # probability of a pose that refinement did not leave where it was; as in core/decision.py
-OPEN = 10.0  # a border that nothing reaches
 Answer = tuple[bool, float]  # accepted, score
 Configs = Mapping[str, Config]
 
@@ -27,7 +27,7 @@ class Variant:
     """svc with something taken away: another view of the pose, other borders, plain overlap, no doubts by slips."""
 
     view: str = "refined"
-    borders: Mapping[str, float] = field(default_factory=dict)
+    borders: Mapping[str, Any] = field(default_factory=dict)
     plain_overlap: bool = False
     slips: bool = True
 
@@ -36,18 +36,11 @@ SVC = "svc"
 VARIANTS: dict[str, Variant] = {
     SVC: Variant(),
     "svc, not refined": Variant(view="given"),
-    "svc, blocked share only, no scattered": Variant(borders={"max_scattered_per_overlap": OPEN}),
-    "svc, scattered share only, no blocked": Variant(borders={"max_blocked_per_overlap": OPEN}),
-    "svc, no sight lines": Variant(
-        borders={"max_scattered_per_overlap": OPEN, "max_blocked_per_overlap": OPEN, "max_contradicted": OPEN}
-    ),
+    "svc, no sight lines": Variant(borders=NO_SIGHT_LINES),
     "svc, plain overlap": Variant(plain_overlap=True),
     "svc, opposed surfaces allowed": Variant(borders={"max_opposed_per_overlap": OPEN}),
     "svc, one plane is enough": Variant(borders={"min_constraint": 1e-4}),
     "svc, no stricter where surfaces are weak": Variant(borders={"weak_constraint": 0.0}),
-    "svc, no freer where contact is loose": Variant(borders={"full_tight": 0.0}),
-    "svc, no contradicted share": Variant(borders={"max_contradicted": OPEN}),
-    "svc, no looser where much is clear": Variant(borders={"blocked_factor_where_clear": 1.0}),
     "svc, no doubt by slips": Variant(slips=False),
     "svc, cone 0.4438 deg": Variant(view="cone"),
 }
@@ -90,14 +83,14 @@ def answer_overlap(row: Row) -> Answer:
     return overlap >= 0.3, overlap
 
 
-def smallest_margin(row: Row, config: Config, borders: Mapping[str, float]) -> float:
+def smallest_margin(row: Row, config: Config, borders: Mapping[str, Any]) -> float:
     """The log margin that decides, without doubts; far below all others where refinement moved the pose away."""
     if is_moved(row, config):
         return -99.0
     return decision.measure_margins(evidence_of(row.seen["refined"]), _with(config.decision, borders)).smallest
 
 
-def _with(config: DecisionConfig, borders: Mapping[str, float]) -> DecisionConfig:
+def _with(config: DecisionConfig, borders: Mapping[str, Any]) -> DecisionConfig:
     return dataclasses.replace(config, **borders)
 
 
@@ -121,26 +114,42 @@ def features_with_sight_lines(row: Row) -> list[float]:
     return [*features_without_sight_lines(row), *(float(np.log((s + 1e-3) / agreeing)) for s in shares)]
 
 
-def fit_logistic(features: Array, correct: Array) -> Callable[[Array], Array]:
-    """Probability (N,) of features (N, D); both classes weigh the same, a weak ridge keeps separable data finite."""
-    mean, spread = features.mean(0), np.maximum(features.std(0), 1e-9)
-    weights = np.where(correct, 0.5 / max(correct.mean(), 1e-9), 0.5 / max(1.0 - correct.mean(), 1e-9))
+@dataclass(frozen=True, eq=False)
+class LogisticModel:
+    """Log odds: offset + features (N, D) @ weights (D,)."""
+
+    offset: float
+    weights: Array
+
+    def __call__(self, features: Array) -> Array:
+        """Probability (N,) of features (N, D)."""
+        return np.asarray(1.0 / (1.0 + np.exp(-np.clip(self.offset + features @ self.weights, -50, 50))))
+
+
+def fit_logistic(
+    features: Array, correct: Array, counted: Array | None = None, never_negative: bool = False
+) -> LogisticModel:
+    """Fit to features (N, D); both classes weigh the same, a weak ridge keeps separable data finite.
+
+    counted: (N,) how much each row weighs within its class, all the same if None; never_negative: no weight is.
+    """
+    share = np.ones(len(features)) if counted is None else counted
+    mean = np.average(features, axis=0, weights=share)
+    spread = np.maximum(np.sqrt(np.average(np.square(features - mean), axis=0, weights=share)), 1e-9)
+    weights = 0.5 * share / np.maximum(np.where(correct, share[correct].sum(), share[~correct].sum()), 1e-9)
     sign = np.where(correct, 1.0, -1.0)
-
-    def design(x: Array) -> Array:
-        return np.hstack((np.ones((len(x), 1)), (x - mean) / spread))
-
-    X = design(features)
+    X = np.hstack((np.ones((len(features), 1)), (features - mean) / spread))
 
     def loss(w: Array) -> tuple[float, Array]:
         margin = sign * (X @ w)
         wrongness = 1.0 / (1.0 + np.exp(np.clip(margin, -50, 50)))
         ridge = 1e-3 * np.append(0.0, w[1:])
-        value = float(np.mean(weights * np.logaddexp(0.0, -margin)) + 0.5 * ridge @ w)
-        return value, -(X * (weights * sign * wrongness)[:, None]).mean(0) + ridge
+        value = float(weights @ np.logaddexp(0.0, -margin) + 0.5 * ridge @ w)
+        return value, -(X * (weights * sign * wrongness)[:, None]).sum(0) + ridge
 
-    w = minimize(loss, np.zeros(X.shape[1]), jac=True, method="L-BFGS-B").x
-    return lambda x: 1.0 / (1.0 + np.exp(-np.clip(design(x) @ w, -50, 50)))
+    least = [None, *([0.0 if never_negative else None] * features.shape[1])]
+    w = minimize(loss, np.zeros(X.shape[1]), jac=True, method="L-BFGS-B", bounds=[(low, None) for low in least]).x
+    return LogisticModel(float(w[0] - w[1:] @ (mean / spread)), w[1:] / spread)
 
 
 def answer_logistic(rows: Sequence[Row], configs: Configs, describe: Callable[[Row], list[float]]) -> list[Answer]:

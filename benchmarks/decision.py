@@ -1,10 +1,10 @@
 """How well is a pose judged? svc, its ablations and other rules on the labelled poses of every data set.
 
-    python benchmarks/decision.py [--data DIR] [--out DIR] [--rows FILE]
+    python benchmarks/decision.py [--data DIR] [--out DIR] [--rows FILE] [--no-simulated]
 
-Also the script that the borders of `DecisionConfig` come from: it prints what every border separates in every set and
-fits them with one set left out at a time; and the check of the covariance against the references. Writes decision.json
-and risk-coverage.png.
+Also the script that the weights of `DecisionConfig` come from: it fits them to recorded and simulated sets, and again
+with one set left out at a time; and the check of the covariance against the references. Writes decision.json and
+risk-coverage.png.
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import _borders
 import _rules
+import _simulated
 import _spread_of_errors
+import _weights
 import numpy as np
 from _common import (
     Dataset,
@@ -32,13 +33,15 @@ from _common import (
 )
 from _evidence import Row, check_against_verify, gather
 
-from svc_ros.evaluation.metrics import LabelledDecision, decision_metrics, roc_auc
+from svc_ros.core.config import preset
+from svc_ros.evaluation.metrics import LabelledDecision, decision_metrics
 
 ALL = "all sets"
 COLUMNS = ("precision", "recall", "f1", "num_false_accepted", "roc_auc", "recall_at_precision_99")
 HEAD = ("rule", "precision", "recall", "F1", "false accepts", "AUC", "recall at precision 0.99")
+OTHERS = "svc, weights of the other sets"
 IN_PICTURE = (
-    "svc", "svc, not refined", "svc, no sight lines", "svc_paper", "overlap 0.3", "logistic, no sight lines",
+    "svc", OTHERS, "svc, not refined", "svc, no sight lines", "svc_paper", "overlap 0.3", "logistic, no sight lines",
     "logistic, sight lines",
 )  # fmt: skip
 Answers = dict[str, list[_rules.Answer]]
@@ -49,38 +52,47 @@ def main() -> None:
 
     def extend(parser: argparse.ArgumentParser) -> None:
         parser.add_argument("--rows", type=Path, help="measured poses: read if the file exists, written otherwise")
+        parser.add_argument("--no-simulated", action="store_true", help="leave the simulated sets out")
 
     options = parse_options("Compare decision rules on labelled poses.", extend)
     datasets = [d for d in read_datasets(options.data) if d.candidates]
-    configs = {d.name: config_of(d) for d in datasets}
-    rows, run = collect(datasets, options.workers, options.rows)
+    simulated = {} if options.no_simulated else {name: preset(given) for name, given in _simulated.PRESETS.items()}
+    configs = {d.name: config_of(d) for d in datasets} | simulated
+    rows, run = collect(datasets, options, bool(simulated))
+    rows = [row for row in rows if row.dataset in configs]
     answers = answer_all(rows, configs)
-    borders = compare_borders(rows, configs)
-    answers["svc, borders of the other sets"] = borders.pop("answers")
     tables = tabulate(rows, answers)
     for name, table in tables.items():
         print_table(name, HEAD, [(rule, *(values[c] for c in COLUMNS)) for rule, values in table.items()])
     same, different = check_against_verify(rows, dict(enumerate(answers[_rules.SVC])))
     console.print(f"verify() itself, asked about {same + different} of {len(rows)} poses, differs on {different}.")
-    print_borders(borders)
+    weights = _weights.compare_weights(rows, configs)
+    print_weights(weights, {name: table[OTHERS] for name, table in tables.items()})
     covariance = check_covariance(rows, answers[_rules.SVC], configs)
     draw_risk_coverage(rows, answers, options.out / "risk-coverage.png")
     values = {
         "num_poses": {name: sum(row.dataset == name for row in rows) for name in configs},
         "verify_sample": {"same": same, "different": different},
-        "decision": tables, "borders": borders, "covariance": covariance,
+        "decision": tables, "weights": weights, "covariance": covariance,
     }  # fmt: skip
     write_report(options.out / "decision.json", values, run)
 
 
-def collect(datasets: Sequence[Dataset], workers: int, kept: Path | None) -> tuple[list[Row], dict[str, Any]]:
+def collect(
+    datasets: Sequence[Dataset], options: argparse.Namespace, simulate: bool
+) -> tuple[list[Row], dict[str, Any]]:
     """Measure every labelled pose, or read what was measured before; with the run that measured them."""
+    kept: Path | None = options.rows
     if kept is not None and kept.exists():
         rows, run = pickle.loads(kept.read_bytes())
         return rows, run
     run = describe_run(datasets)
     jobs = [(dataset, pair, k) for dataset in datasets for k, pair in enumerate(dataset.candidates)]
-    rows = [row for of_pair in spread(gather, jobs, workers, "labelled poses") for row in of_pair]
+    rows = [row for of_pair in spread(gather, jobs, options.workers, "labelled poses") for row in of_pair]
+    if simulate:
+        places = [(place, k) for k, place in enumerate(_simulated.places())]
+        measured = spread(_simulated.gather_simulated, places, options.workers, "simulated poses")
+        rows += [row for at_place in measured for row in at_place]
     if kept is not None:
         kept.write_bytes(pickle.dumps((rows, run)))
     return rows, run
@@ -92,6 +104,9 @@ def answer_all(rows: Sequence[Row], configs: _rules.Configs) -> Answers:
         name: [_rules.answer_variant(row, configs[row.dataset], variant) for row in rows]
         for name, variant in _rules.VARIANTS.items()
     }
+    answers[OTHERS] = _weights.answer_left_out(rows, configs)
+    for weight in _weights.WEIGHTS:
+        answers[f"{OTHERS}, no {weight.removesuffix('_weight')}"] = _weights.answer_left_out(rows, configs, weight)
     answers["svc_paper"] = [_rules.answer_paper(row) for row in rows]
     answers["overlap 0.3"] = [_rules.answer_overlap(row) for row in rows]
     answers["logistic, no sight lines"] = _rules.answer_logistic(rows, configs, _rules.features_without_sight_lines)
@@ -101,10 +116,9 @@ def answer_all(rows: Sequence[Row], configs: _rules.Configs) -> Answers:
 
 def tabulate(rows: Sequence[Row], answers: Answers) -> dict[str, dict[str, dict[str, Any]]]:
     """Metrics by set and rule, and of all sets together."""
-    names = list(dict.fromkeys(row.dataset for row in rows))
     return {
         name: {rule: summarise(rows, given, None if name == ALL else name) for rule, given in answers.items()}
-        for name in [*names, ALL]
+        for name in [*_weights.sets_of(rows), ALL]
     }
 
 
@@ -119,55 +133,24 @@ def summarise(rows: Sequence[Row], given: Sequence[_rules.Answer], dataset: str 
     return {**decision_metrics(decisions), "num_false_accepted": false_accepts}
 
 
-def compare_borders(rows: Sequence[Row], configs: _rules.Configs) -> dict[str, Any]:
-    """What the borders separate, their fit to all sets, and to all but one, tested on that one."""
-    names = list(dict.fromkeys(row.dataset for row in rows))
-    fitted_rows = _borders.judged(rows, configs)
-    worst_right = _borders.find_worst_right(fitted_rows)
-    gaps = {
-        name: _borders.measure_gaps([r for r in fitted_rows if r.dataset == name], worst_right) for name in names
-    }  # fmt: skip
-    gaps[ALL] = _borders.measure_gaps(fitted_rows, worst_right)
-    left_out = {}
-    answers: list[_rules.Answer] = [(False, 0.0)] * len(rows)
-    for name in names:
-        borders = _borders.fit_borders([r for r in fitted_rows if r.dataset != name])
-        tested = [k for k, row in enumerate(rows) if row.dataset == name]
-        variant = _rules.Variant(borders=borders)
-        for k in tested:
-            answers[k] = _rules.answer_variant(rows[k], configs[name], variant)
-        margins = [_rules.smallest_margin(rows[k], configs[name], borders) for k in tested]
-        auc = roc_auc(margins, [rows[k].correct for k in tested])
-        left_out[name] = {"borders": borders, "margin_auc": auc, **summarise(rows, answers, name)}
-    configured = {b.name: getattr(next(iter(configs.values())).decision, b.name) for b in _borders.BORDERS}
-    return {
-        "configured": configured, "fitted_to_all": _borders.fit_borders(fitted_rows), "gaps": gaps,
-        "leave_one_set_out": left_out, "answers": answers,
-    }  # fmt: skip
-
-
-def print_borders(borders: Mapping[str, Any]) -> None:
-    """What every border separates, then the fits."""
-    rows = [
-        (f"{border.name}: {name}", gap[border.name].right, gap[border.name].wrong, gap[border.name].num_wrong)
-        for border in _borders.BORDERS
-        for name, gap in borders["gaps"].items()
-    ]
-    head = ("border: set", "worst right pose", "best wrong pose it has to stop", "wrong poses it has to stop")
-    print_table("What the borders separate, refined (each wrong pose counts where it is farthest out)", head, rows)
-    names = [border.name for border in _borders.BORDERS]
+def print_weights(weights: Mapping[str, Any], tested: Mapping[str, Mapping[str, Any]]) -> None:
+    """The weights as configured and as fitted, then the fits without a set and their test on it (`tested`, by set)."""
+    judged = ("margin_auc", "smallest_right_margin", "largest_wrong_margin")
+    counted = ("f1", "num_false_accepted")
     fits = [
-        ("configured", *(borders["configured"][n] for n in names), None, None, None),
-        ("fitted to all sets", *(borders["fitted_to_all"][n] for n in names), None, None, None),
+        (title, *(weights[key][name] for name in _weights.FIELDS), *[None] * (len(judged) + len(counted)))
+        for title, key in (("configured", "configured"), ("fitted to all sets", "fitted_to_all"))
     ]
-    tests = ("margin_auc", "f1", "num_false_accepted")
     fits += [
-        (f"without {name}", *(fit["borders"][n] for n in names), *(fit[t] for t in tests))
-        for name, fit in borders["leave_one_set_out"].items()
-    ]
-    short = [name.replace("_per_overlap", " / overlap").replace("_", " ") for name in names]
-    head = ("fit", *short, "AUC of the margin", "F1", "false accepts")
-    print_table("Borders fitted without a set, tested on it", head, fits)
+        (f"without {name}", *(fit["weights"][field] for field in _weights.FIELDS), *(fit[key] for key in judged),
+         *(tested[name][key] for key in counted))
+        for name, fit in weights["leave_one_set_out"].items()
+    ]  # fmt: skip
+    head = (
+        "fit", *(name.removesuffix("_weight").replace("_", " ") for name in _weights.FIELDS), "AUC of the margin",
+        "smallest right", "largest wrong", "F1", "false accepts",
+    )  # fmt: skip
+    print_table("Weights fitted without a set, tested on it", head, fits)
 
 
 def check_covariance(
@@ -188,16 +171,8 @@ def check_covariance(
             "points_per_constraint_for_95_by_axis": wanted_by_axis,
         }  # fmt: skip
         by_axis = measured["within_2_sigma_by_axis"].values()
-        table.append(
-            (
-                name,
-                measured["num_pairs"],
-                measured["within_2_sigma"],
-                *by_axis,
-                used,
-                *map(_at_least, (wanted, wanted_by_axis)),
-            )
-        )
+        shares = (measured["within_2_sigma"], *by_axis)
+        table.append((name, measured["num_pairs"], *shares, used, *map(_at_least, (wanted, wanted_by_axis))))
     head = ("set", "pairs", "all six", *_spread_of_errors.AXES, "points per constraint", "for 95 %", "axis by axis")
     title = "Errors of accepted right poses within 2 sigma (the references themselves are 1-10 cm off)"
     print_table(title, head, table)

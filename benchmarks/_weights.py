@@ -1,0 +1,118 @@
+"""Where the weights of `DecisionConfig` come from: logistic regression over what contradicts a pose in contact."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from _evidence import Row, evidence_of
+from _rules import Answer, Configs, Variant, answer_variant, fit_logistic, is_moved, smallest_margin
+
+from svc_ros.core import decision
+from svc_ros.core.scan import Array
+from svc_ros.evaluation.metrics import roc_auc
+
+OFFSET = "free_offset"
+WEIGHTS = ("blocked_weight", "scattered_weight", "contradicted_weight", "tight_weight")
+FIELDS = (OFFSET, *WEIGHTS)
+CAUTION = 0.6  # less log odds than fitted: to be accepted a pose has to be 1.8 times likelier right than wrong
+_SIGNS = np.array([-1.0, -1.0, -1.0, 1.0])  # what is blocked speaks against a pose, tight contact for it
+Weights = dict[str, float]
+
+
+def sets_of(rows: Sequence[Row]) -> list[str]:
+    """Names of the sets, each once, in their order."""
+    return list(dict.fromkeys(row.dataset for row in rows))
+
+
+def in_contact(rows: Sequence[Row], configs: Configs) -> list[Row]:
+    """Rows that the weights have to tell apart: enough surface agrees, and refinement left the pose where it was."""
+    return [
+        row for row in rows
+        if not is_moved(row, configs[row.dataset])
+        and row.seen["refined"]["oriented_overlap_ratio"] >= configs[row.dataset].decision.min_oriented_overlap
+        and row.seen["refined"]["constraint_ratio"] >= configs[row.dataset].decision.min_constraint
+    ]  # fmt: skip
+
+
+def fit_weights(rows: Sequence[Row], configs: Configs, without: str | None = None) -> Weights:
+    """Values of the FIELDS, rounded as they are configured; the weight named `without` is 0, its number unseen.
+
+    Every set and label weighs the same, however many poses it has. Raises ValueError where no right or no wrong pose is
+    in contact.
+    """
+    rows = in_contact(rows, configs)
+    correct = np.array([row.correct for row in rows], bool)
+    if correct.all() or not correct.any():
+        found = f"{correct.sum()} right of {len(rows)}"
+        raise ValueError(f"weights: expected right and wrong poses in contact, found {found}")
+    used = [k for k, name in enumerate(WEIGHTS) if name != without]
+    numbers = np.array([decision.describe_contradiction(evidence_of(row.seen["refined"])) for row in rows]) * _SIGNS
+    model = fit_logistic(numbers[:, used], correct, weigh_groups(rows), never_negative=True)
+    fitted = dict.fromkeys(FIELDS, 0.0)
+    fitted |= {WEIGHTS[k]: round(float(weight), 2) for k, weight in zip(used, model.weights, strict=True)}
+    return fitted | {OFFSET: round(model.offset - CAUTION, 1)}
+
+
+def weigh_groups(rows: Sequence[Row]) -> Array:
+    """Weights (N,) with which every label of every set weighs the same."""
+    names = [f"{row.dataset}: {row.correct}" for row in rows]
+    _, group, sizes = np.unique(names, return_inverse=True, return_counts=True)
+    return np.asarray(1.0 / sizes[group])
+
+
+def fit_without_each(rows: Sequence[Row], configs: Configs, without: str | None = None) -> dict[str, Weights]:
+    """The weights for each set, fitted to all others."""
+    return {
+        name: fit_weights([row for row in rows if row.dataset != name], configs, without) for name in sets_of(rows)
+    }  # fmt: skip
+
+
+def answer_left_out(rows: Sequence[Row], configs: Configs, without: str | None = None) -> list[Answer]:
+    """What svc answers to each row with the weights of the other sets."""
+    fitted = {name: Variant(borders=weights) for name, weights in fit_without_each(rows, configs, without).items()}
+    return [answer_variant(row, configs[row.dataset], fitted[row.dataset]) for row in rows]
+
+
+def judge_margins(rows: Sequence[Row], configs: Configs, weights: Weights) -> dict[str, Any]:
+    """How far the margin tells right from wrong poses with these weights, doubts left aside.
+
+    Poses that refinement moves away rank below all others, and do not count as the smallest or the largest margin.
+    """
+    margins = np.array([smallest_margin(row, configs[row.dataset], weights) for row in rows])
+    correct = np.array([row.correct for row in rows])
+    stayed = np.array([not is_moved(row, configs[row.dataset]) for row in rows])
+    return {
+        "margin_auc": roc_auc(margins, correct),
+        "smallest_right_margin": min(margins[correct & stayed].tolist(), default=None),
+        "largest_wrong_margin": max(margins[~correct & stayed].tolist(), default=None),
+    }
+
+
+def configured_weights(configs: Configs) -> Weights:
+    """The FIELDS as they are configured; all presets share them."""
+    config = dataclasses.asdict(next(iter(configs.values())).decision)
+    return {name: config[name] for name in FIELDS}
+
+
+def compare_weights(rows: Sequence[Row], configs: Configs) -> dict[str, Any]:
+    """Configured and fitted weights, and for each set those of all other sets with their test on it."""
+    configured = configured_weights(configs)
+    tests = {}
+    for name, weights in fit_without_each(rows, configs).items():
+        tested = [row for row in rows if row.dataset == name]
+        tests[name] = {
+            "weights": weights, **judge_margins(tested, configs, weights),
+            "as_configured": judge_margins(tested, configs, configured),
+        }  # fmt: skip
+    counted = in_contact(rows, configs)
+    counts = {
+        name: [sum(r.dataset == name and r.correct == label for r in counted) for label in (True, False)]
+        for name in sets_of(rows)
+    }
+    return {
+        "configured": configured, "fitted_to_all": fit_weights(rows, configs), "caution": CAUTION,
+        "num_right_and_wrong": counts, "leave_one_set_out": tests,
+    }  # fmt: skip
