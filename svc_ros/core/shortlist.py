@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from svc_ros.core import se3
 from svc_ros.core.config import Config, HypothesisConfig, ShortlistConfig
+from svc_ros.core.parallel import num_processors
 from svc_ros.core.prescore import prescore, thin_evenly
 from svc_ros.core.scan import Array, Correspondences, HypothesisSet, IndexArray, PreparedScan
 
@@ -126,7 +127,7 @@ def surface_cloud(scan: PreparedScan) -> Any:
     """The scan as a small_gicp cloud with normals, built on first use."""
     if "surface_cloud" not in scan.memo:
         cloud = small_gicp.PointCloud(scan.points)
-        small_gicp.estimate_normals(cloud, surface_tree(scan), num_neighbors=10)
+        small_gicp.estimate_normals(cloud, surface_tree(scan), num_neighbors=10, num_threads=num_processors())
         scan.memo["surface_cloud"] = cloud
     return scan.memo["surface_cloud"]
 
