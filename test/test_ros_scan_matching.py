@@ -78,6 +78,28 @@ def test_a_drive_at_10_hz_has_a_decision_for_each_scan_and_the_right_way(shared_
     assert np.linalg.norm(np.array([linear.x, linear.y, linear.z]) - step[:3, 3] / seconds) < 1.0
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("missing", [0, 5], ids=["whole", "carried-away"])
+def test_a_walk_at_four_times_its_rate_stays_right(shared_data, tmp_path, missing):
+    """`missing`: so many scans, a second apart, are never seen; from there on it is right or says nothing."""
+    folder = shared_data / "bags" / "os0_64_walk"
+    clouds, reference = recorded_clouds(folder / "ros2_mcap"), read_tum(folder / "reference_tum.txt")
+    clouds = clouds[:40] + clouds[40 + missing :]
+    with StreamBench(tmp_path, own_domain_id(14), {"mode": "scan_matching", "preset": "lidar_indoor"}) as bench:
+        bench.play(clouds, rate_hz=4.0)
+        assert bench.collector.wait_for_decisions(len(clouds), 10.0), bench.process.output()
+        bench.settle()
+    stamps = [ns_from_stamp(m.header.stamp) for m in bench.odometry]
+    truth = [reference.at(stamp, SECOND) for stamp in stamps]
+    errors = [
+        pose_error(pose_of(m.pose.pose), invert(truth[0]) @ T) for m, T in zip(bench.odometry, truth, strict=True)
+    ]
+    assert np.sqrt(np.mean([metres**2 for _, metres in errors])) < 0.5
+    assert max(errors)[0] < 3.0
+    assert len(errors) > 0.8 * len(clouds)
+    assert max(stamps) > ns_from_stamp(clouds[-3].header.stamp)  # it came back
+
+
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
