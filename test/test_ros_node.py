@@ -216,8 +216,10 @@ def test_sight_lines_are_drawn_while_somebody_looks(bench):
     bench.decide(cloud(SCANS[1], 88.5, "moved"), cloud(SCANS[0], 88.5, "fixed"))
     assert spin_until(bench.executor, lambda: arrays, 5.0)
     bench.node.destroy_subscription(subscription)
-    first, *markers = arrays[0].markers
+    first, *markers, verdict = arrays[0].markers
     assert first.action == Marker.DELETEALL
+    assert (verdict.ns, verdict.text, verdict.header.frame_id) == ("verdict", "accepted: ok", "fixed")
+    assert verdict.color.g > verdict.color.r
     assert {m.ns for m in markers} >= {"target_clear", "source_clear"}
     for marker in markers:
         assert marker.header.frame_id == "fixed"

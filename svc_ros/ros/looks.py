@@ -13,14 +13,19 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from svc_ros.core.evidence import SightLines, SightViewEvidence
+from svc_ros.core.result import RegistrationResult, Verdict
 from svc_ros.core.scan import Array, PreparedScan
 from svc_ros.core.se3 import apply
 from svc_ros.ros.conversions import cloud_message, header
 from svc_ros.ros.decision import Decision, Look
 
 MAX_LINES = 400  # of each colour and scan: more is a ball of wool, and each costs microseconds of the interpreter
-_LINE_WIDTH_M = 0.02
+_LINE_WIDTH_M, _TEXT_HEIGHT_M = 0.02, 0.5
 _GREEN, _RED = ColorRGBA(r=0.1, g=0.8, b=0.2, a=0.35), ColorRGBA(r=0.9, g=0.1, b=0.1, a=1.0)
+_VERDICT_COLOURS = {
+    Verdict.ACCEPTED: ColorRGBA(r=0.1, g=0.8, b=0.2, a=1.0),
+    Verdict.UNDECIDED: ColorRGBA(r=0.9, g=0.7, b=0.1, a=1.0),
+}
 _DEPTH = QoSProfile(depth=2)
 
 
@@ -48,7 +53,9 @@ class LookOutputs:
             points, from_source = blocked_points(look, evidence)
             self._blocked.publish(cloud_message(points, stamp_ns, look.frame_id, {"from_source": from_source}))
         if self._lines.get_subscription_count():
-            self._lines.publish(sight_line_markers(look, evidence, stamp_ns))
+            markers = sight_line_markers(look, evidence, stamp_ns)
+            markers.markers.append(verdict_marker(look, decision.result, stamp_ns))
+            self._lines.publish(markers)
 
     def destroy(self) -> None:
         """Give the publishers back."""
@@ -78,6 +85,19 @@ def sight_line_markers(look: Look, evidence: SightViewEvidence, stamp_ns: int) -
     for marker in markers:
         marker.header = first.header
     return MarkerArray(markers=[first, *markers])
+
+
+def verdict_marker(look: Look, result: RegistrationResult, stamp_ns: int) -> Marker:
+    """Verdict and reason as a text above the place where the judged pose puts the source's sensor."""
+    text = f"{result.verdict.value}: {result.reason.value}"
+    T_frame_source = look.T_frame_target @ look.T_target_source
+    marker = Marker(header=header(stamp_ns, look.frame_id), ns="verdict", type=Marker.TEXT_VIEW_FACING, text=text)
+    marker.color = _VERDICT_COLOURS.get(result.verdict, _RED)
+    (marker.pose.position,) = _points(apply(T_frame_source, look.source.sensor_origin[None]))
+    marker.pose.position.z += 2.0 * _TEXT_HEIGHT_M
+    marker.pose.orientation.w = 1.0
+    marker.scale.z = _TEXT_HEIGHT_M
+    return marker
 
 
 def _markers(scan: PreparedScan, lines: SightLines, T_frame_scan: Array, side: str) -> Iterator[Marker]:
