@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -21,6 +23,17 @@ from svc_ros.ros.registration_node import RegistrationNode  # noqa: E402
 pytestmark = pytest.mark.dds
 
 PERIOD_S, MAX_LATE_MS = 0.01, 25.0
+# The same beat in a process that does nothing else: how late the machine itself is, with all that runs on it.
+CONTROL = """
+import sys, threading, time
+late, done = [], threading.Event()
+threading.Thread(target=lambda: (sys.stdin.read(), done.set()), daemon=True).start()
+while not done.is_set():
+    start = time.monotonic()
+    time.sleep(0.01)
+    late.append(1e3 * (time.monotonic() - start - 0.01))
+print(sorted(late)[int(0.99 * len(late))])
+"""
 TOPICS = ("points", "source_points", "target_points")
 BAG = ("bags", "hdl64_kitti_a_10hz")
 
@@ -49,9 +62,13 @@ def test_a_timer_at_100_hz_is_in_time_while_real_scans_are_computed(
             "svc_ros.ros.bag_player", player_args, local_environment(domain_id), tmp_path / "log"
         ) as player:
             assert spin_until(executor, lambda: session.statistics.numbers()["jobs"]["received"] > 0, 30.0)
+            control = subprocess.Popen(
+                [sys.executable, "-c", CONTROL], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            )
             timer = node.create_timer(PERIOD_S, lambda: ticks.append(time.monotonic()), clock=steady)
             assert spin_until(executor, lambda: player.exit_code is not None, 30.0)
             node.destroy_timer(timer)
+            machine_ms = float(control.communicate()[0])
         counts = session.statistics.numbers()["decisions"]
     finally:
         node.stop(30.0)
@@ -60,4 +77,4 @@ def test_a_timer_at_100_hz_is_in_time_while_real_scans_are_computed(
     late_ms = 1e3 * np.maximum(np.diff(ticks) - PERIOD_S, 0.0)
     assert counts["accepted"] >= 4, counts  # there was work
     assert len(late_ms) > 100
-    assert np.percentile(late_ms, 99) < MAX_LATE_MS
+    assert np.percentile(late_ms, 99) < MAX_LATE_MS + machine_ms
