@@ -54,7 +54,8 @@ def field_index(names: Sequence[str], wanted: str) -> int:
     """Return where `wanted` stands among `names`; UnsupportedCloudError unless it stands there exactly once."""
     places = [i for i, name in enumerate(names) if name == wanted]
     if len(places) != 1:
-        listed = ", ".join(names) if names else "no fields at all"
+        shown = (name if name.isprintable() else repr(name) for name in names)
+        listed = ", ".join(shown) if names else "no fields at all"
         raise UnsupportedCloudError(f"expected one field '{wanted}', found {len(places)} in: {listed:.200}")
     return places[0]
 

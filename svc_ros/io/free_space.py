@@ -26,7 +26,7 @@ def free_directions(relative: Array, free: NDArray[np.bool_], height: int, width
     """
     if height < 2 or not free.any():
         return None
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):  # beyond 1e154 m, where directions still are right
         x, y, z = relative.T.reshape(3, height, width)
         azimuth, elevation = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
     azimuth[~np.isfinite(relative).all(1).reshape(height, width)] = np.nan

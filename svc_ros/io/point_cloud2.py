@@ -6,6 +6,7 @@ what was expected and what was found. The writer gives plain values with which a
 
 from __future__ import annotations
 
+import operator
 from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,10 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from svc_ros.core.errors import InputError, UnsupportedCloudError
-from svc_ros.core.scan import Array, Scan
+from svc_ros.core.scan import Array, Scan, frozen_array
 from svc_ros.io.cloud_columns import CleanPoints, Column, clean_points, field_index
 from svc_ros.io.free_space import free_directions
 from svc_ros.io.point_times import TIME_FIELDS, offsets_from_stamp
+from svc_ros.io.stamps import ns_from_stamp
 
 _DTYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField
 _FLOAT32 = 7
@@ -128,17 +130,17 @@ def scan_from_cloud(msg: CloudMessage, *, sensor_origin: ArrayLike | None = None
     zero tell nothing. Of the fields t, time, timestamp, offset_time and time_stamp the first that holds
     one usable number a point tells the times (see `offsets_from_stamp` for units); others are left alone.
 
-    Raises UnsupportedCloudError where layout and bytes contradict each other or x, y, z are not there exactly once.
+    Raises UnsupportedCloudError where layout and bytes contradict each other or x, y, z are not there exactly once,
+    InputError where `sensor_origin` is no point.
     """
-    stamp_ns = int(msg.header.stamp.sec) * 1_000_000_000 + int(msg.header.stamp.nanosec)
-    frame_id = str(msg.header.frame_id)
+    stamp_ns, frame_id = ns_from_stamp(msg.header.stamp), str(msg.header.frame_id)
+    origin = np.zeros(3) if sensor_origin is None else frozen_array(sensor_origin, np.float64, "sensor_origin", (3,))
     try:
         grid = _grid_from_message(msg)
         clean = clean_points([grid.coordinate(name) for name in "xyz"])
     except UnsupportedCloudError as error:
-        raise UnsupportedCloudError(f"PointCloud2 in frame '{frame_id}' at {stamp_ns} ns: {error}") from None
+        raise UnsupportedCloudError(f"PointCloud2 in frame {frame_id!r:.80} at {stamp_ns} ns: {error}") from None
     time_field, times = _read_times(grid, clean.keep, stamp_ns)
-    origin = np.zeros(3) if sensor_origin is None else np.array(sensor_origin, np.float64)
     scan = Scan(clean.points, stamp_ns, frame_id, origin, times, _read_free(clean, origin, grid))
     num_points, num_beyond = grid.height * grid.width, int(clean.out_of_range.sum())
     return CloudReading(
@@ -191,8 +193,10 @@ def _read_free(clean: CleanPoints, origin: Array, grid: _Grid) -> Array | None:
 
 
 def _grid_from_message(msg: CloudMessage) -> _Grid:
-    height, width, point_step = int(msg.height), int(msg.width), int(msg.point_step)
-    fields = tuple(CloudField(str(f.name), int(f.offset), int(f.datatype), int(f.count)) for f in msg.fields)
+    height, width, point_step = _whole(msg, "height"), _whole(msg, "width"), _whole(msg, "point_step")
+    fields = tuple(
+        CloudField(str(f.name), _whole(f, "offset"), _whole(f, "datatype"), _whole(f, "count")) for f in msg.fields
+    )
     data = _bytes_of(msg.data)
     if height <= 0 or width <= 0:
         if height < 0 or width < 0 or data.size:
@@ -200,7 +204,7 @@ def _grid_from_message(msg: CloudMessage) -> _Grid:
         return _Grid((), height, width, point_step, 0, "<", data)
     for field in fields:
         _check_inside(field, point_step)
-    row_step = _checked_row_step(msg, width * point_step)
+    row_step = _checked_row_step(_whole(msg, "row_step"), height, width * point_step)
     needed = (height - 1) * row_step + width * point_step  # the last row needs no padding
     if data.size < needed:
         raise UnsupportedCloudError(
@@ -208,6 +212,15 @@ def _grid_from_message(msg: CloudMessage) -> _Grid:
             f"{row_step}, found {data.size}"
         )
     return _Grid(fields, height, width, point_step, row_step, ">" if msg.is_bigendian else "<", data)
+
+
+def _whole(owner: Any, name: str) -> int:
+    """An attribute that has to be a whole number, of whatever integer type."""
+    value = getattr(owner, name)
+    try:
+        return operator.index(value)
+    except TypeError:
+        raise UnsupportedCloudError(f"expected {name} to be a whole number, found {value!r:.40}") from None
 
 
 def _bytes_of(data: Any) -> NDArray[np.uint8]:
@@ -222,15 +235,14 @@ def _check_inside(field: CloudField, point_step: int) -> None:
     size = np.dtype(_DTYPES.get(field.datatype, "u1")).itemsize * max(field.count, 1)
     if field.offset < 0 or field.offset + size > point_step:
         raise UnsupportedCloudError(
-            f"expected field '{field.name}' inside point_step {point_step}, found bytes {field.offset} to "
+            f"expected field {field.name!r:.80} inside point_step {point_step}, found bytes {field.offset} to "
             f"{field.offset + size}"
         )
 
 
-def _checked_row_step(msg: CloudMessage, row_bytes: int) -> int:
+def _checked_row_step(row_step: int, height: int, row_bytes: int) -> int:
     """Return the bytes from row to row: 0 means rows without padding, and a single row needs no step at all."""
-    row_step = int(msg.row_step)
-    if row_step == 0 or int(msg.height) == 1:
+    if row_step == 0 or height == 1:
         return row_bytes
     if row_step < row_bytes:
         raise UnsupportedCloudError(
