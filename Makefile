@@ -1,6 +1,6 @@
 # make help says what there is. PYTHON=/path/to/python picks another interpreter for make setup.
 .DEFAULT_GOAL := help
-.PHONY: help setup lint type test demo bench clean
+.PHONY: help setup lint type test test-slow demo bench clean
 
 # A sourced ROS brings its own rclpy; the environment is then made another way (tools/setup.sh).
 MODE := $(if $(ROS_DISTRO)$(AMENT_PREFIX_PATH),apt,wheels)
@@ -13,7 +13,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 help:
 	@echo "make setup   the environment .venv: Python, pinned packages, system libraries"
-	@echo "make test    every test, those over DDS too"
+	@echo "make test    the tests, those over DDS too; make test-slow those of ten seconds and more each"
 	@echo "make lint    ruff"
 	@echo "make type    mypy --strict on the layers that run without ROS"
 	@echo "make demo    simulate a drive, play it to the node, show its decisions; leaves out/demo/"
@@ -34,7 +34,10 @@ type: setup
 	$(PY) -m mypy
 
 test: setup
-	$(PY) -m pytest
+	$(PY) -m pytest -m "not slow"
+
+test-slow: setup
+	$(PY) -m pytest -m slow
 
 demo: setup
 	$(PY) -m svc_ros.ros.demo --out out/demo

@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from svc_ros.core.config import DecisionConfig
+from svc_ros.core.decision_config import DecisionConfig
 from svc_ros.core.evidence import SightLines, SightViewEvidence
 from svc_ros.core.result import Reason, Verdict
 from svc_ros.core.sight_view import Allowance

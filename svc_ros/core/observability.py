@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from svc_ros.core.config import CovarianceConfig, SightViewConfig
+from svc_ros.core.config import SightViewConfig
+from svc_ros.core.decision_config import CovarianceConfig
 from svc_ros.core.placement import place
 from svc_ros.core.scan import Array, PreparedScan
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from svc_ros.core import se3
-from svc_ros.core.config import CovarianceConfig
+from svc_ros.core.decision_config import CovarianceConfig
 from svc_ros.core.errors import InputError
 from svc_ros.core.scan import Array
 from svc_ros.io.g2o import GraphEdge, PoseGraph
