@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 
 import numpy as np
 import pytest
@@ -101,6 +102,24 @@ def test_a_cloud_without_odometry_says_so(tmp_path):
         decision = bench.decide(cloud(scan_room(POSES[0]), 5.0))
     assert (decision["verdict"], decision["reason"]) == ("rejected", "tf_unavailable")
     assert "expected odometry at 5.000000000 s, found none so far" in decision["detail"]
+
+
+def test_ctrl_c_in_the_middle_of_a_loop_ends_the_node_and_writes_the_graph_so_far(shared_data, tmp_path):
+    clouds = recorded_clouds(shared_data / "bags" / "hdl64_kitti_a_10hz")[::3]
+    parameters = {
+        "mode": "loop_closure", "process_every": "true", "graph_file": str(tmp_path / "loops.g2o"),
+        "loop_closure.min_gap_s": "0.1", "loop_closure.max_near": "5",
+    }  # fmt: skip
+    with StreamBench(tmp_path, own_domain_id(23), parameters) as bench:
+        bench.play(clouds, 20.0)
+        assert spin_until(bench.executor, lambda: bench.status()["worker"]["keyframes"] >= 2, 30.0)
+        assert bench.status()["jobs"]["pending"] > 0
+        start = time.monotonic()
+        bench.process.interrupt()
+        assert bench.process.wait(10.0) == 0, bench.process.output()
+        assert time.monotonic() - start < 2.0
+        assert "Traceback" not in bench.process.output()
+    assert len(read_g2o(tmp_path / "loops.g2o").poses) >= 2
 
 
 @pytest.fixture(scope="module")
