@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 import pickle
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,7 @@ from _evidence import Row, check_against_verify, gather
 from svc_ros.core.config import preset
 from svc_ros.evaluation.metrics import LabelledDecision, decision_metrics
 
-ALL = "all sets"
+RECORDED, ALL = "recorded sets", "all sets"
 COLUMNS = ("precision", "recall", "f1", "num_false_accepted", "roc_auc", "recall_at_precision_99")
 HEAD = ("rule", "precision", "recall", "F1", "false accepts", "AUC", "recall at precision 0.99")
 OTHERS = "svc, weights of the other sets"
@@ -115,19 +115,21 @@ def answer_all(rows: Sequence[Row], configs: _rules.Configs) -> Answers:
 
 
 def tabulate(rows: Sequence[Row], answers: Answers) -> dict[str, dict[str, dict[str, Any]]]:
-    """Metrics by set and rule, and of all sets together."""
+    """Metrics by set and rule, of all recorded sets together, and of all sets."""
+    names = _weights.sets_of(rows)
+    groups = {name: {name} for name in names} | {RECORDED: set(names) - set(_simulated.PRESETS), ALL: set(names)}
     return {
-        name: {rule: summarise(rows, given, None if name == ALL else name) for rule, given in answers.items()}
-        for name in [*_weights.sets_of(rows), ALL]
+        group: {rule: summarise(rows, given, members) for rule, given in answers.items()}
+        for group, members in groups.items()
     }
 
 
-def summarise(rows: Sequence[Row], given: Sequence[_rules.Answer], dataset: str | None) -> dict[str, Any]:
-    """Metrics of one rule on one set (None: on all)."""
+def summarise(rows: Sequence[Row], given: Sequence[_rules.Answer], datasets: Set[str]) -> dict[str, Any]:
+    """Metrics of one rule on the sets of these names."""
     decisions = [
         LabelledDecision(accepted, row.correct, score, row.origin)
         for row, (accepted, score) in zip(rows, given, strict=True)
-        if dataset in (None, row.dataset)
+        if row.dataset in datasets
     ]
     false_accepts = sum(d.accepted and not d.correct for d in decisions)
     return {**decision_metrics(decisions), "num_false_accepted": false_accepts}
@@ -147,10 +149,10 @@ def print_weights(weights: Mapping[str, Any], tested: Mapping[str, Mapping[str, 
         for name, fit in weights["leave_one_set_out"].items()
     ]  # fmt: skip
     head = (
-        "fit", *(name.removesuffix("_weight").replace("_", " ") for name in _weights.FIELDS), "AUC of the margin",
-        "smallest right", "largest wrong", "F1", "false accepts",
+        "fit", *(name.removeprefix("free_").removesuffix("_weight") for name in _weights.FIELDS),
+        "AUC", "least right", "most wrong", "F1", "false accepts",
     )  # fmt: skip
-    print_table("Weights fitted without a set, tested on it", head, fits)
+    print_table("Weights fitted without a set, tested on it (AUC and extremes of the smallest margin)", head, fits)
 
 
 def check_covariance(
