@@ -1,0 +1,194 @@
+"""The pages in docs/ name parameters, topics, reasons, keys and values: each is held against what there is."""
+
+from __future__ import annotations
+
+import ast
+import re
+
+import pytest
+import yaml
+from conftest import PROJECT_ROOT
+from test_readme import COMMANDS, node_defaults
+from test_readme import rows as readme_rows
+
+from svc_ros.core.config import METHODS, PRESETS, preset, walk
+from svc_ros.core.result import Reason, RegistrationResult, Verdict
+
+DOCS = PROJECT_ROOT / "docs"
+PAGES = ("interfaces", "frames", "decisions", "tuning", "integration")
+TEXTS = {name: (DOCS / f"{name}.md").read_text("utf-8") for name in PAGES}
+FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+CONFIG = {info.name: info.default for info in walk(preset("lidar_outdoor"))}
+GROUPS = {name.partition(".")[0] for name in CONFIG if "." in name}
+# Names of ROS, of other packages and of formats, that no code of ours spells out.
+FOREIGN = {
+    "NaN", "base_link", "bond", "use_sim_time", "qos_overrides", "header.frame_id", "child_frame_id", "frame_id",
+    "/kiss/odometry", "/initialpose", "/tf", "/source", "VERTEX_SE3:QUAT", "EDGE_SE3:QUAT",
+    "configure", "activate", "deactivate", "cleanup", "message", "p_target = T_target_source p_source",
+}  # fmt: skip
+PROGRAMS = ("svc_ros ", "ros2 ")
+
+
+def prose(page: str) -> str:
+    return FENCED.sub("", TEXTS[page])
+
+
+def named(page: str) -> list[str]:
+    return re.findall(r"`([^`]+)`", prose(page))
+
+
+def rows(section: str) -> list[list[str]]:
+    """Cells of the one table between <!-- section --> and <!-- /section -->, without its head."""
+    (text,) = [
+        t for page in TEXTS.values() for t in re.findall(f"<!-- {section} -->\n(.*?)<!-- /{section} -->", page, re.S)
+    ]
+    lines = [line for line in text.splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
+
+
+def code(cell: str) -> list[str]:
+    return re.findall(r"`([^`]+)`", cell)
+
+
+def launch_arguments() -> set[str]:
+    texts = [path.read_text("utf-8") for path in (PROJECT_ROOT / "launch").glob("*.py")]
+    return {name for text in texts for name in re.findall(r'^    "(\w+)": \(', text, re.MULTILINE)}
+
+
+def spelled_out() -> set[str]:
+    """Every text in the code, which is what messages, keys and choices are made of."""
+    trees = [ast.parse(path.read_text("utf-8")) for path in PROJECT_ROOT.glob("svc_ros/**/*.py")]
+    nodes = [node for tree in trees for node in ast.walk(tree)]
+    return {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+
+
+def programs_and_files() -> set[str]:
+    scripts = re.findall(r'f"(\w+) = ', (PROJECT_ROOT / "setup.py").read_text("utf-8"))
+    files = [path for folder in ("launch", "config") for path in (PROJECT_ROOT / folder).iterdir()]
+    return {"ros2", *scripts, *COMMANDS, *(path.name for path in files), *(f"{p.parent.name}/{p.name}" for p in files)}
+
+
+@pytest.fixture(scope="module")
+def known() -> set[str]:
+    topics = {row[0].strip("`") for row in readme_rows("topics")}
+    services = {row[0].strip("`") for row in readme_rows("services")}
+    types = {row[2].strip("`") for row in readme_rows("topics")}
+    codes = {code.value for code in (*Reason, *Verdict)} | {"p50", "p95", "p99"}
+    statuses = {f"svc_registration: {row[0].split(': ')[1].strip('`')}" for row in rows("statuses")}
+    values = {*CONFIG, *GROUPS, *node_defaults(), "preset", *PRESETS, *METHODS, *launch_arguments()}
+    return codes | statuses | topics | services | types | values | spelled_out() | programs_and_files() | FOREIGN
+
+
+def is_known(word: str, known: set[str]) -> bool:
+    if word in known or word.startswith(("--", *PROGRAMS)):
+        return True
+    if word.startswith("~/"):
+        return False
+    if ":=" in word:
+        return all(is_setting(part, known) for part in word.split(" "))
+    return is_setting(word, known) or (" " in word and any(word in text for text in known))
+
+
+def is_setting(word: str, known: set[str]) -> bool:
+    """`name:=value` or `name: value` with a parameter or an argument, and a value that it can have."""
+    name, *value = re.split(r":=|: ", word, maxsplit=1)
+    is_name = name in {*node_defaults(), *launch_arguments()}
+    return is_name and len(value) == 1 and value[0] in {*known, "true", "false"}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_name_exists(page, known):
+    unknown = [word for word in named(page) if not is_known(word, known)]
+    assert unknown == []
+
+
+def test_names_that_do_not_exist_are_found(known):
+    wrong = ["~/decisions", "decision.min_overlap", "low_overlaps", "odometry:=topics", "max_skews", "moed:=pair"]
+    assert [word for word in wrong if is_known(word, known)] == []
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_dotted_names_are_parameters(page):
+    dotted = {word for word in named(page) if word.partition(".")[0] in GROUPS and re.fullmatch(r"\w+\.\w+", word)}
+    assert dotted <= set(CONFIG)
+
+
+def test_values_are_those_of_the_presets():
+    table = rows("values")
+    assert len(table) >= 5
+    for name, *values in table:
+        for preset_name, value in zip(PRESETS, values, strict=True):
+            default = {info.name: info.default for info in walk(preset(preset_name))}[name.strip("`")]
+            assert yaml.safe_load(value) == default, (name, preset_name)
+
+
+def test_every_reason_has_advice():
+    told = set(named("decisions"))
+    assert {reason.value for reason in Reason} - told <= {"ok"}
+
+
+def test_launch_commands_take_these_arguments():
+    lines = "\n".join(t for page in PAGES for _, t in FENCED.findall(TEXTS[page])).replace("\\\n", " ").splitlines()
+    commands = [line.split() for line in lines if line.startswith("ros2 launch")]
+    assert len(commands) >= 5
+    for words in commands:
+        assert (PROJECT_ROOT / "launch" / words[3]).is_file()
+        assert {word.partition(":=")[0] for word in words[4:]} <= launch_arguments(), words
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)]+)\)", TEXTS[page]):
+        name, _, anchor = target.partition("#")
+        path = DOCS / name if name else DOCS / f"{page}.md"
+        assert path.is_file(), target
+        headings = re.findall(r"^#+ (.+)$", FENCED.sub("", path.read_text("utf-8")), re.MULTILINE)
+        anchors = {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
+        assert not anchor or anchor in anchors, target
+
+
+def test_the_readme_links_every_page():
+    readme = (PROJECT_ROOT / "README.md").read_text("utf-8")
+    assert all(f"](docs/{page}.md)" in readme for page in PAGES)
+
+
+def test_python_compiles():
+    blocks = [text for page in PAGES for language, text in FENCED.findall(TEXTS[page]) if language == "python"]
+    assert blocks
+    for text in blocks:
+        compile(text, "docs", "exec")
+
+
+def test_origins_are_those_of_the_streams():
+    stream = (PROJECT_ROOT / "svc_ros/pipeline/stream.py").read_text("utf-8")
+    (text,) = re.findall(r"origin: where the judged pose came from \(([^)]+)\)", stream)
+    assert [row[0].strip("`") for row in rows("origins")] == text.replace("\n", " ").split(", ")
+
+
+def test_keys_of_decisions_status_and_diagnostics_are_those_of_the_node():
+    pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
+    from svc_ros.ros.decision import Decision
+    from svc_ros.ros.diagnostics import Statistics, statuses
+    from svc_ros.ros.outputs import _values
+    from svc_ros.ros.worker import CloudLabel
+
+    result = RegistrationResult(Verdict.REJECTED, Reason.NO_HYPOTHESIS)
+    label = CloudLabel(1, "lidar")
+    always = {key for row in rows("decision keys") if row[1] == "always" for key in code(row[0])}
+    assert always == set(_values(Decision(result, label, label)))
+    statistics = Statistics({"points": True})
+    flow = {"pairing": {}, "worker": {"ready": True, "enabled": True, "queue": 0, "queue_size": 1}}
+    told = [status.name for status in statuses(statistics, flow, False)]
+    assert told == [row[0].strip("`") for row in rows("statuses")]
+    keys = {key: row[1] for row in rows("status keys") for key in code(row[0])}
+    numbers = statistics.numbers()
+    assert set(numbers) <= set(keys)
+    assert code(keys["jobs"]) == list(numbers["jobs"])
+
+
+def test_judged_decisions_have_these_numbers():
+    tree = ast.parse((PROJECT_ROOT / "svc_ros/core/evidence.py").read_text("utf-8"))
+    (numbers,) = [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef) and n.name == "numbers"]
+    keys = {n.value for n in ast.walk(numbers) if isinstance(n, ast.Constant)}
+    told = {key for row in rows("decision keys") if row[1] == "judged" for key in code(row[0])}
+    assert told - {"probability"} <= keys
