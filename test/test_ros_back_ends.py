@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from types import ModuleType, SimpleNamespace
 
@@ -119,6 +120,17 @@ def test_an_accepted_loop_is_a_link_between_the_nodes_that_rtabmap_made_of_both_
     assert (link.from_id, link.to_id) == (11, 13)
     assert link.transform.translation.y == 2.0
     np.testing.assert_allclose(link.information.reshape(6, 6), 25.0 * np.eye(6))
+
+
+@pytest.mark.usefixtures("packages")
+def test_a_pair_with_one_stamp_is_no_link():
+    node = StandInNode()
+    output = edge_output(node, "rtabmap")
+    node.on_info(Message(header=header(30 * SECOND, "lidar"), ref_id=11))
+    label = CloudLabel(30 * SECOND, "lidar")
+    output.publish(dataclasses.replace(loop(), source=label, target=label))
+    assert node.sent == []
+    assert len(node.warnings) == 1
 
 
 @pytest.mark.usefixtures("packages")

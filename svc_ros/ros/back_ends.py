@@ -103,7 +103,7 @@ class RtabmapLinks:
         if result.T_target_source is None or source is None or target is None:
             return
         ends = self._number(target.stamp_ns), self._number(source.stamp_ns)
-        if None in ends or not self._client.service_is_ready():
+        if None in ends or ends[0] == ends[1] or not self._client.service_is_ready():
             stamps = f"{text_from_ns(target.stamp_ns)} s and {text_from_ns(source.stamp_ns)} s"
             self._node.get_logger().warning(f"rtabmap has no nodes for the loop between {stamps}, or does not answer")
             return
