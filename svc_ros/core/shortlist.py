@@ -14,6 +14,8 @@ from svc_ros.core.parallel import num_processors
 from svc_ros.core.prescore import prescore, thin_evenly
 from svc_ros.core.scan import Array, Correspondences, HypothesisSet, IndexArray, PreparedScan
 
+_ROUNDS_A_CALL = 3
+
 
 def select_distinct(T: Array, config: ShortlistConfig, limit: int) -> IndexArray:
     """Indices of at most `limit` poses (H, 4, 4), in order, none near one that stands before it."""
@@ -80,13 +82,18 @@ def refine_roughly(T: Array, source: PreparedScan, target: PreparedScan, config:
 def _align(
     T: Array, pair: tuple[PreparedScan, PreparedScan], num_points: int, distance_m: float, rounds: int
 ) -> Array:
+    """Point-to-plane ICP, a few rounds a call: each call keeps Python's lock, and other threads wait for it."""
     source, target = pair
-    result = small_gicp.align(
-        surface_cloud(target), thinned_cloud(source, num_points), surface_tree(target), T,
-        registration_type="PLANE_ICP", max_correspondence_distance=distance_m,
-        max_iterations=rounds, rotation_epsilon=1e-4, translation_epsilon=1e-4,
-    )  # fmt: skip
-    return se3.nearest_pose(result.T_target_source)
+    for done in range(0, rounds, _ROUNDS_A_CALL):
+        result = small_gicp.align(
+            surface_cloud(target), thinned_cloud(source, num_points), surface_tree(target), T,
+            registration_type="PLANE_ICP", max_correspondence_distance=distance_m,
+            max_iterations=min(_ROUNDS_A_CALL, rounds - done), rotation_epsilon=1e-4, translation_epsilon=1e-4,
+        )  # fmt: skip
+        T = result.T_target_source
+        if result.converged:
+            break
+    return se3.nearest_pose(T)
 
 
 def order_by_agreement(T: Array, source: PreparedScan, target: PreparedScan, config: ShortlistConfig) -> Array:
