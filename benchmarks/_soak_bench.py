@@ -11,7 +11,7 @@ from pathlib import Path
 
 import rclpy
 from _common import PROJECT_ROOT
-from _soak_checks import Record, Snapshot
+from _soak_checks import MAX_KEYFRAMES, Record, Snapshot
 from _soak_node import LATENESS_TOPIC
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -141,6 +141,7 @@ class NodeUnderLoad:
 
 def _arguments(mode: str, preset: str) -> list[str]:
     settings = [f"mode:={mode}", f"preset:={preset}", f"queue_size:={_QUEUE_SIZE}"]
+    settings.append(f"scan_matching.max_keyframes:={MAX_KEYFRAMES}")  # full soon, so that growth can be seen
     for topic in TOPICS[mode]:
         values = ("reliability:=reliable", f"depth:={_DEPTH}")
         settings += [f"qos_overrides./{topic}.subscription.{value}" for value in values]

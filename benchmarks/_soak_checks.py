@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 MAX_LATE_MS = 25.0  # 99th percentile of a 100 Hz timer in the node's process
+MAX_KEYFRAMES = 4  # that the node may keep
 MAX_GROWTH_MB = 60.0  # of the resident set, from the middle third of the load to its last
 
 
@@ -54,6 +55,8 @@ def wrong_counts(snapshot: Snapshot, queue_size: int) -> list[str]:
         wrong.append(f"received {sum(received.values())} clouds of {snapshot.published} published")
     if status["worker"]["queue"] > queue_size:
         wrong.append(f"queue: {status['worker']['queue']} wait, {queue_size} may")
+    if status["worker"].get("keyframes", 0) > MAX_KEYFRAMES:
+        wrong.append(f"keyframes: {status['worker']['keyframes']} are kept, {MAX_KEYFRAMES} may")
     ahead = {name: n for name, n in snapshot.decided_before.items() if n > verdicts[name]}
     return [*wrong, *(f"{name}: {n} came out, {verdicts[name]} were counted" for name, n in ahead.items())]
 

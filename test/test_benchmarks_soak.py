@@ -64,6 +64,7 @@ def test_counts_that_add_up_are_right(status):
         (changed(PAIR, "pairing", "unmatched", 1), "pairs received: 7 is not 6"),
         (changed(SCANS, "received", "points", 8), "scans received: 8 is not 6"),
         (changed(SCANS, "worker", "queue", 2), "queue: 2 wait, 1 may"),
+        (changed(SCANS, "worker", "keyframes", 5), "keyframes: 5 are kept, 4 may"),
         (changed(changed(SCANS, "decisions", "dropped", 1), "jobs", "pending", 2), "dropped: 2 came out, 1 were"),
     ],
 )
