@@ -39,11 +39,15 @@ def _local_discovery(monkeypatch):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
-def burst(bench, first_stamp: int, count: int):
-    """Pairs whose features have to be computed: none is in the cache. Not faster than the middleware takes them."""
+def burst(bench, first_stamp: int, count: int, stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)):
+    """Pairs whose features have to be computed: none is in the cache. Not faster than the middleware takes them.
+
+    A stretched source fits nowhere, and is looked for in vain for a second or so.
+    """
     for k in range(count):
         shift = np.array([0.0, 0.0, 0.001 * (first_stamp + k)])
-        bench.player.publish(cloud(SCANS[1] + shift, first_stamp + k), cloud(SCANS[0] + shift, first_stamp + k))
+        source = SCANS[1] * np.array(stretch) + shift
+        bench.player.publish(cloud(source, first_stamp + k), cloud(SCANS[0] + shift, first_stamp + k))
         bench.settle(0.02)
 
 
@@ -70,7 +74,7 @@ def test_services_and_parameters_are_served_between_pairs_and_no_pair_is_lost(be
 def test_pairs_that_wait_when_the_node_is_disabled_or_reset_are_dropped_with_their_reason(bench):
     for first, reason in ((200, "inactive"), (300, "stale")):
         before = len(bench.answers.decisions)
-        burst(bench, first, 6)
+        burst(bench, first, 6, stretch=(1.0, 1.6, 1.4))
         assert spin_until(bench.executor, lambda: bench.status()["worker"]["queue"] >= 3, 10.0)
         if reason == "inactive":
             assert bench.call(SetBool, "enable", SetBool.Request(data=False)).success
@@ -79,7 +83,9 @@ def test_pairs_that_wait_when_the_node_is_disabled_or_reset_are_dropped_with_the
         assert bench.collector.wait_for_decisions(before + 6, 30.0)
         assert bench.call(SetBool, "enable", SetBool.Request(data=True)).success
         decisions = bench.answers.decisions[before:]
-        assert {(d["verdict"], d["reason"]) for d in decisions} == {("accepted", "ok"), ("dropped", reason)}
+        served = [d for d in decisions if (d["verdict"], d["reason"]) != ("dropped", reason)]
+        assert {d["verdict"] for d in served} <= {"rejected", "undecided"}
+        assert 1 <= len(served) <= 3
     assert bench.status()["jobs"]["pending"] == 0
 
 
