@@ -39,8 +39,9 @@ BAG = ("bags", "hdl64_kitti_a_10hz")
 
 
 @pytest.mark.parametrize(
-    ("mode", "arguments"), [("scan_matching", ["--scans", "--rate", "5"]), ("pair", ["--rate", "2", "--limit", "8"])]
+    ("mode", "arguments"), [("scan_matching", ["--scans", "--rate", "5"]), ("pair", ["--rate", "1", "--limit", "8"])]
 )
+@pytest.mark.slow  # it measures time: what else runs on the machine counts
 def test_a_timer_at_100_hz_is_in_time_while_real_scans_are_computed(
     shared_data, tmp_path, monkeypatch, mode, arguments
 ):
@@ -75,6 +76,6 @@ def test_a_timer_at_100_hz_is_in_time_while_real_scans_are_computed(
         node.destroy_node()
         context.try_shutdown()
     late_ms = 1e3 * np.maximum(np.diff(ticks) - PERIOD_S, 0.0)
-    assert counts["accepted"] >= 4, counts  # there was work
+    assert counts["accepted"] >= 3, counts  # there was work
     assert len(late_ms) > 100
     assert np.percentile(late_ms, 99) < MAX_LATE_MS + machine_ms
