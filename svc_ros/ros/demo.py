@@ -45,6 +45,7 @@ from svc_ros.simulation import DriveConfig, simulate_drive
 PRESET = "lidar_outdoor"
 STRIDE = 1
 _MIN_SCANS = 4
+_DECISIONS = "/svc_registration/decision"
 _PAIR_TIMEOUT_S = 60.0
 _NODE_PARAMETERS = {
     "preset": PRESET,
@@ -120,13 +121,13 @@ def _play(bag: Path, num_pairs: int, out: Path, on_decision: Callable[[int], Non
         listener, executor = rclpy.create_node("svc_demo"), SingleThreadedExecutor()
         executor.add_node(listener)
         collector = DecisionCollector(listener, executor)
-        with (
-            ChildProcess("svc_ros.ros.node", ["--ros-args", *parameters], environment, out / "node.log") as node,
-            ChildProcess("svc_ros.ros.bag_player", player_args, environment, out / "player.log") as player,
-        ):
-            for count in range(num_pairs):
-                on_decision(count)
-                _receive(collector, count + 1, node, player)
+        with ChildProcess("svc_ros.ros.node", ["--ros-args", *parameters], environment, out / "node.log") as node:
+            # The topic keeps one decision for who comes late: whoever wants all of them must be there before the first.
+            spin_until(executor, lambda: listener.count_publishers(_DECISIONS) > 0 or node.exit_code is not None, 60.0)
+            with ChildProcess("svc_ros.ros.bag_player", player_args, environment, out / "player.log") as player:
+                for count in range(num_pairs):
+                    on_decision(count)
+                    _receive(collector, count + 1, node, player)
             accepted = sum(d["verdict"] == "accepted" for d in collector.answers.decisions)
             spin_until(executor, lambda: len(collector.answers.transforms) >= accepted, 5.0)
             spin_until(executor, lambda: False, 0.5)  # whatever comes now is one answer too many
