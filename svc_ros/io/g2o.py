@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from svc_ros.core import se3
 from svc_ros.core.errors import InputError
 from svc_ros.core.scan import Array, frozen_array
+from svc_ros.io.pose_text import parse_numbers, pose_from_values, text_of_numbers
 
 _VERTEX, _EDGE, _FIX = "VERTEX_SE3:QUAT", "EDGE_SE3:QUAT", "FIX"
 _NUM_VALUES = {_VERTEX: 8, _EDGE: 30, _FIX: 1}
@@ -68,7 +69,7 @@ def write_g2o(path: str | Path, graph: PoseGraph) -> None:
     if lines:
         lines.append(f"{_FIX} 0")
     for edge in graph.edges:
-        information = _numbers_text(_information(edge)[_UPPER])
+        information = text_of_numbers(_information(edge)[_UPPER])
         lines.append(f"{_EDGE} {edge.target} {edge.source} {_text_of_pose(edge.T_target_source)} {information}")
     try:
         Path(path).write_text("".join(f"{line}\n" for line in lines), "utf-8")
@@ -85,7 +86,7 @@ def read_g2o(path: str | Path) -> PoseGraph:
     edges: list[GraphEdge] = []
     for place, tag, values in _elements(path):
         if tag == _VERTEX:
-            poses[int(values[0])] = _pose_from(values[1:], place)
+            poses[int(values[0])] = pose_from_values(values[1:], place)
         elif tag == _EDGE:
             edges.append(_edge_from(values, place))
     if sorted(poses) != list(range(len(poses))):
@@ -132,39 +133,19 @@ def _elements(path: str | Path) -> Iterator[tuple[str, str, Array]]:
             raise InputError(f"{place}: expected one of {', '.join(_NUM_VALUES)}, found {words[0]!r:.40}")
         if len(words) != expected + 1:
             raise InputError(f"{place}: expected {expected} values after {words[0]}, found {len(words) - 1}")
-        yield place, words[0], _values(words[1:], place)
-
-
-def _values(words: list[str], place: str) -> Array:
-    try:
-        values = np.array([float(word) for word in words])
-    except ValueError as error:
-        raise InputError(f"{place}: expected numbers, {error}") from None
-    if not np.isfinite(values).all():
-        raise InputError(f"{place}: expected finite numbers, found NaN or inf")
-    return values
+        yield place, words[0], parse_numbers(words[1:], place)
 
 
 def _edge_from(values: Array, place: str) -> GraphEdge:
     information = np.zeros((6, 6))
     information[_UPPER] = values[9:]
     information += np.triu(information, 1).T
-    T = _pose_from(values[2:9], place)
+    T = pose_from_values(values[2:9], place)
     try:
         return GraphEdge(int(values[1]), int(values[0]), T, _covariance(information, T))
     except (InputError, np.linalg.LinAlgError):
         raise InputError(f"{place}: expected a positive definite information matrix") from None
 
 
-def _pose_from(values: Array, place: str) -> Array:
-    if abs(float(np.linalg.norm(values[3:])) - 1.0) > 1e-3:
-        raise InputError(f"{place}: expected a quaternion of length 1, found {values[3:].tolist()}")
-    return se3.make_pose(Rotation.from_quat(values[3:]).as_matrix(), values[:3])
-
-
 def _text_of_pose(T: Array) -> str:
-    return _numbers_text(np.concatenate([T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat()]))
-
-
-def _numbers_text(values: Array) -> str:
-    return " ".join(f"{value:.12g}" for value in values)
+    return text_of_numbers(np.concatenate([T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat()]))

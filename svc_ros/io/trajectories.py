@@ -14,12 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from svc_ros.core.errors import InputError, TransformUnavailableError
 from svc_ros.core.scan import IndexArray, frozen_array
-from svc_ros.core.se3 import Array, check_pose, make_pose, nearest_pose
+from svc_ros.core.se3 import Array, check_pose, nearest_pose
+from svc_ros.io.pose_text import parse_numbers, pose_from_values, text_of_numbers
 from svc_ros.io.stamps import ns_from_text, text_from_ns
 from svc_ros.io.transforms import interpolate_poses
 
 _SPAN_TOLERANCE_NS = 1_000_000  # recorders that pass a stamp through float64 seconds move it by up to 240 ns
-_UNIT_TOLERANCE = 1e-3  # of a quaternion's length; files print three digits and more
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ def read_tum(path: str | Path) -> Trajectory:
         if stamps and stamp <= stamps[-1]:
             raise InputError(f"{place}: expected a stamp after {text_from_ns(stamps[-1])} s, found {words[0]} s")
         stamps.append(stamp)
-        poses.append(_pose_from_quaternion(_numbers(words[1:], place), place))
+        poses.append(pose_from_values(parse_numbers(words[1:], place), place))
     return Trajectory(np.array(stamps, np.int64), np.stack(poses))
 
 
@@ -88,7 +88,7 @@ def write_tum(path: str | Path, trajectory: Trajectory) -> None:
     quaternions = Rotation.from_matrix(trajectory.poses[:, :3, :3]).as_quat() if len(trajectory) else np.zeros((0, 4))
     rows = np.hstack([trajectory.poses[:, :3, 3], quaternions])
     lines = [
-        " ".join([text_from_ns(int(stamp)), *(f"{value:.12g}" for value in row)])
+        f"{text_from_ns(int(stamp))} {text_of_numbers(row)}"
         for stamp, row in zip(trajectory.stamps_ns, rows, strict=True)
     ]
     _write_lines(path, lines)
@@ -102,7 +102,7 @@ def read_kitti(path: str | Path) -> Array:
     """
     poses = []
     for place, words in _lines(path, 12, "the 12 numbers of a 3x4 matrix"):
-        T = np.vstack([_numbers(words, place).reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
+        T = np.vstack([parse_numbers(words, place).reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
         poses.append(nearest_pose(check_pose(T, place)))
     return np.stack(poses)
 
@@ -110,7 +110,7 @@ def read_kitti(path: str | Path) -> Array:
 def write_kitti(path: str | Path, poses: Array) -> None:
     """Write poses (N, 4, 4) [m] as lines of 12 numbers."""
     checked = frozen_array(poses, float, "poses", (None, 4, 4))
-    _write_lines(path, [" ".join(f"{value:.12g}" for value in T[:3].ravel()) for T in checked])
+    _write_lines(path, [text_of_numbers(T[:3].ravel()) for T in checked])
 
 
 def _lines(path: str | Path, num_words: int, form: str) -> Iterator[tuple[str, list[str]]]:
@@ -131,23 +131,6 @@ def _lines(path: str | Path, num_words: int, form: str) -> Iterator[tuple[str, l
         yield f"{path}:{number}", words
     if not found:
         raise InputError(f"{path}: expected lines of {form}, found none")
-
-
-def _numbers(words: list[str], place: str) -> Array:
-    try:
-        values = np.array([float(word) for word in words])
-    except ValueError as error:
-        raise InputError(f"{place}: expected numbers, {error}") from None
-    if not np.isfinite(values).all():
-        raise InputError(f"{place}: expected finite numbers, found {' '.join(words):.120}")
-    return values
-
-
-def _pose_from_quaternion(values: Array, place: str) -> Array:
-    length = float(np.linalg.norm(values[3:]))
-    if abs(length - 1.0) > _UNIT_TOLERANCE:
-        raise InputError(f"{place}: expected a quaternion of length 1, found length {length:.6g}")
-    return make_pose(Rotation.from_quat(values[3:]).as_matrix(), values[:3])
 
 
 def _write_lines(path: str | Path, lines: list[str]) -> None:
