@@ -1,4 +1,4 @@
-"""All processors for one job, by threads: the kernels and Open3D hold no GIL."""
+"""All processors for one job, by threads: the compiled kernels hold no GIL."""
 
 from __future__ import annotations
 
