@@ -44,8 +44,8 @@ class DamagedBag(Bag):
 
     damage: dict[int, dict[str, Any]]
 
-    def raw_clouds(self, topic: str | None = None) -> Iterator[tuple[int, Any]]:
-        for k, (stamp, msg) in enumerate(super().raw_clouds(topic)):
+    def raw_clouds(self, topic: str | None = None, span_ns: tuple[int, int] | None = None) -> Iterator[tuple[int, Any]]:
+        for k, (stamp, msg) in enumerate(super().raw_clouds(topic, span_ns)):
             yield stamp, dataclasses.replace(msg, **self.damage.get(k, {}))
 
 

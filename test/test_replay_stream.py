@@ -52,8 +52,8 @@ def bag_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 class DamagedBag(Bag):
     """A bag whose third cloud lost half of its data."""
 
-    def raw_clouds(self, topic: str | None = None) -> Iterator[tuple[int, Any]]:
-        for k, (stamp, msg) in enumerate(super().raw_clouds(topic)):
+    def raw_clouds(self, topic: str | None = None, span_ns: tuple[int, int] | None = None) -> Iterator[tuple[int, Any]]:
+        for k, (stamp, msg) in enumerate(super().raw_clouds(topic, span_ns)):
             yield stamp, dataclasses.replace(msg, data=msg.data[: len(msg.data) // 2]) if k == 2 else msg
 
 

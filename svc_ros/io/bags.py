@@ -130,10 +130,19 @@ class Bag:
         name = self.resolve_cloud_topic(topic)
         return next(info.count for info in self.topics if info.name == name)
 
-    def raw_clouds(self, topic: str | None = None) -> Iterator[tuple[int, Any]]:
-        """Yield (time [ns] at which it was recorded, PointCloud2) in the order of recording."""
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """Times [ns] at which the first and the last message of the bag were recorded."""
+        reader = self._open_reader()
+        return reader.start_time, max(reader.start_time, reader.end_time - 1)  # the reader tells the first one after it
+
+    def raw_clouds(self, topic: str | None = None, span_ns: tuple[int, int] | None = None) -> Iterator[tuple[int, Any]]:
+        """Yield (time [ns] at which it was recorded, PointCloud2) in the order of recording.
+
+        span_ns: first and last time of recording that are wanted, both included.
+        """
         name = self.resolve_cloud_topic(topic)
-        for _, bag_time_ns, message in self._messages([name], (CLOUD_TYPE,)):
+        for _, bag_time_ns, message in self._messages([name], (CLOUD_TYPE,), span_ns):
             yield bag_time_ns, message
 
     def scans(
@@ -175,13 +184,16 @@ class Bag:
                     tree.mark_faulty(child, f"{self._name}: {topic}: {parent} -> {child}: {error}")
         return tree
 
-    def _messages(self, topics: list[str], types: tuple[str, ...]) -> Iterator[tuple[str, int, Any]]:
+    def _messages(
+        self, topics: list[str], types: tuple[str, ...], span_ns: tuple[int, int] | None = None
+    ) -> Iterator[tuple[str, int, Any]]:
         reader = self._open_reader()
         wanted = [c for c in reader.connections if c.topic in topics and c.msgtype in types]
         if not wanted:  # the reader takes no connections for all of them
             return
+        start, stop = (None, None) if span_ns is None else (span_ns[0], span_ns[1] + 1)
         with self._errors_named():
-            for connection, bag_time_ns, raw in reader.messages(wanted):
+            for connection, bag_time_ns, raw in reader.messages(wanted, start, stop):
                 yield connection.topic, bag_time_ns, reader.deserialize(raw, connection.msgtype)
 
     def _open_reader(self) -> AnyReader:

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 
 from svc_ros.core.config import Config
-from svc_ros.core.errors import InputError, TransformUnavailableError
+from svc_ros.core.errors import TransformUnavailableError
 from svc_ros.core.scan import Array, Scan
 from svc_ros.io.bags import Bag
-from svc_ros.io.point_cloud2 import scan_from_cloud
-from svc_ros.io.stamps import ns_from_stamp
 from svc_ros.io.transforms import TransformTree
 from svc_ros.pipeline.loop_closure import LoopCloser
+from svc_ros.pipeline.replay_clouds import BagPart, RecordedCloud, ReplayedPair, ReplayStep, Stopwatch, read_clouds
 from svc_ros.pipeline.scan_matching import ScanMatcher
 from svc_ros.pipeline.stream import StreamDecision, refuse_scan
 
 Odometry = Callable[[Scan], Array | None]
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedCloud:
+    """A cloud with its place in the odometry frame, T_odom_scan (4, 4), if odometry knows; odometry_ms: its time."""
+
+    cloud: RecordedCloud
+    T_odom_scan: Array | None
+    odometry_ms: float
 
 
 def replay_scan_matching(
@@ -24,20 +32,50 @@ def replay_scan_matching(
 ) -> Iterator[StreamDecision]:
     """Match every scan of a topic, in the order of the bag: one decision for each cloud, readable or not.
 
-    sensor_frame: see `replay_pairs`. Raises InputError for a broken bag.
+    sensor_frame: see `read_clouds`. Raises InputError for a broken bag.
     """
-    yield from _follow(bag, topic, config, ScanMatcher(config).add, sensor_frame)
+    for step in matching_steps(read_clouds(bag, BagPart(topic, sensor_frame=sensor_frame)), config):
+        yield from step.decisions
 
 
 def replay_loop_closure(
     bag: Bag, topic: str, closer: LoopCloser, odometry: Odometry, sensor_frame: str | None = None
 ) -> Iterator[StreamDecision]:
     """Look for loops among the scans of a topic; the closer then holds the keyframes. Raises InputError."""
+    clouds = read_clouds(bag, BagPart(topic, sensor_frame=sensor_frame))
+    for step in loop_steps(track_clouds(clouds, odometry), closer):
+        yield from step.decisions
 
-    def add(scan: Scan) -> list[StreamDecision]:
-        return closer.add(scan, odometry(scan))
 
-    yield from _follow(bag, topic, closer.config, add, sensor_frame)
+def matching_steps(clouds: Iterable[RecordedCloud], config: Config) -> Iterator[ReplayStep]:
+    """`replay_scan_matching` cloud by cloud."""
+    matcher, indices = ScanMatcher(config), _Indices()
+    for cloud in clouds:
+        watch = Stopwatch()
+        found = matcher.add(cloud.scan) if cloud.scan is not None else [_refused(cloud, config)]
+        decisions = indices.of(found, cloud)
+        yield ReplayStep(cloud, decisions, found[0].T_odom_source, {"read": cloud.read_ms, "decide": watch.ms()})
+
+
+def track_clouds(clouds: Iterable[RecordedCloud], odometry: Odometry) -> Iterator[TrackedCloud]:
+    """Ask odometry about every cloud that can be read, in order."""
+    for cloud in clouds:
+        watch = Stopwatch()
+        T_odom_scan = None if cloud.scan is None else odometry(cloud.scan)
+        yield TrackedCloud(cloud, T_odom_scan, watch.ms())
+
+
+def loop_steps(clouds: Iterable[TrackedCloud], closer: LoopCloser) -> Iterator[ReplayStep]:
+    """`replay_loop_closure` cloud by cloud; most clouds have no decision."""
+    indices = _Indices()
+    for tracked in clouds:
+        watch, cloud = Stopwatch(), tracked.cloud
+        if cloud.scan is None:
+            found = [_refused(cloud, closer.config)]
+        else:
+            found = closer.add(cloud.scan, tracked.T_odom_scan)
+        times = {"read": cloud.read_ms, "odometry": tracked.odometry_ms, "decide": watch.ms()}
+        yield ReplayStep(cloud, indices.of(found, cloud), tracked.T_odom_scan, times)
 
 
 def odometry_by_matching(config: Config) -> Odometry:
@@ -62,23 +100,18 @@ def odometry_by_transforms(transforms: TransformTree, odometry_frame: str) -> Od
     return pose
 
 
-def _follow(
-    bag: Bag, topic: str, config: Config, add: Callable[[Scan], list[StreamDecision]], sensor_frame: str | None
-) -> Iterator[StreamDecision]:
-    transforms = bag.transforms() if sensor_frame else None
-    for _, message in bag.raw_clouds(topic):
-        stamp_ns, frame_id = ns_from_stamp(message.header.stamp), str(message.header.frame_id)
-        try:
-            scan = _scan_from(message, transforms, sensor_frame)
-        except (InputError, TransformUnavailableError) as error:
-            yield refuse_scan(stamp_ns, frame_id, error, config)
-            continue
-        yield from add(scan)
+class _Indices:
+    """Which cloud had which stamp."""
+
+    def __init__(self) -> None:
+        self._of_stamp: dict[int, int] = {}
+
+    def of(self, decisions: list[StreamDecision], cloud: RecordedCloud) -> list[ReplayedPair]:
+        """The decisions on a cloud with the indices of both clouds; a stamp that came twice means the later one."""
+        self._of_stamp[cloud.stamp_ns] = cloud.index
+        return [ReplayedPair.of(d, cloud.index, self._of_stamp[d.target_stamp_ns]) for d in decisions]
 
 
-def _scan_from(message: Any, transforms: TransformTree | None, sensor_frame: str | None) -> Scan:
-    origin: Array | None = None
-    if transforms is not None and sensor_frame is not None:
-        stamp_ns = ns_from_stamp(message.header.stamp)
-        origin = transforms.lookup(str(message.header.frame_id), sensor_frame, stamp_ns)[:3, 3]
-    return scan_from_cloud(message, sensor_origin=origin).scan
+def _refused(cloud: RecordedCloud, config: Config) -> StreamDecision:
+    assert cloud.error is not None  # a cloud has a scan or an error
+    return refuse_scan(cloud.stamp_ns, cloud.frame_id, cloud.error, config)

@@ -1,0 +1,75 @@
+"""What one bag is replayed with; small and picklable, so that it can travel to another process or machine."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from svc_ros.core.config import Config, unknown_name
+from svc_ros.core.errors import InputError
+
+MODES = ("pair", "scan_matching", "loop_closure")
+
+_CHOSEN = (
+    "mode", "topic", "start_s", "duration_s", "stride", "sensor_frame", "odometry_frame", "reference_frame", "with_input"
+)  # fmt: skip
+
+Progress = Callable[[int, int], None]  # (clouds done, clouds expected); the second is exact once both are the same
+StopRequest = Callable[[], bool]
+
+
+@dataclass(frozen=True)
+class ReplayJob:
+    """One bag, how to replay it, and the folder `out` for everything that is found.
+
+    preset: the name that the configuration started from, for the record; start_s, duration_s: [s] from the bag's
+    begin; stride: in `pair` scan k + stride is registered to scan k, in the other modes every stride-th scan is taken;
+    max_rate_hz: most scans a second of wall time, None for as fast as possible; sensor_frame: the sensor's frame where
+    the clouds are in another one; odometry_frame: in `loop_closure` odometry is where this frame sees the clouds on
+    /tf, None for odometry by scan matching; reference: a TUM file with poses of `reference_frame` (None: of the
+    clouds' frame); with_input: copy clouds and transforms into results.mcap; resume: continue an interrupted run;
+    report: write report.html. Raises InputError.
+    """
+
+    bag: Path
+    out: Path
+    config: Config
+    preset: str = "lidar_outdoor"
+    mode: str = "pair"
+    topic: str | None = None
+    start_s: float = 0.0
+    duration_s: float | None = None
+    stride: int = 1
+    max_rate_hz: float | None = None
+    sensor_frame: str | None = None
+    odometry_frame: str | None = None
+    reference: Path | None = None
+    reference_frame: str | None = None
+    with_input: bool = False
+    resume: bool = False
+    report: bool = True
+
+    def __post_init__(self) -> None:
+        if self.mode not in MODES:
+            raise InputError(unknown_name("--mode", self.mode, MODES))
+        if self.max_rate_hz is not None and not self.max_rate_hz > 0.0:
+            raise InputError(f"replay: expected a rate above 0 Hz, found {self.max_rate_hz:g}")
+        if self.odometry_frame is not None and self.mode != "loop_closure":
+            raise InputError(f"--odometry-frame {self.odometry_frame}: only --mode loop_closure takes odometry")
+        if self.reference_frame is not None and self.reference is None:
+            raise InputError(f"--reference-frame {self.reference_frame}: expected --reference with it")
+
+    def identity(self) -> dict[str, Any]:
+        """What decisions depend on besides the configuration: only a run with the same one may be continued."""
+        chosen = {name: getattr(self, name) for name in _CHOSEN}
+        reference = None if self.reference is None else hashlib.sha256(self.reference.read_bytes()).hexdigest()
+        return {"bag": self.bag.name, "bag_bytes": _num_bytes(self.bag), **chosen, "reference_sha256": reference}
+
+
+def _num_bytes(path: Path) -> int:
+    """Size of a bag, one file or a folder of them."""
+    files = [path] if path.is_file() else sorted(path.rglob("*"))
+    return sum(file.stat().st_size for file in files if file.is_file())
