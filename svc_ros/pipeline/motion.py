@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +20,9 @@ _UNLIMITED_M = 1e9  # the range crop is done by `crop_range`, which knows where 
 _MAX_GAPS = 3.0  # a velocity is kept over at most so many of the time spans that it was measured over
 _SMALL_ANGLE = 1e-6
 _CONVERGED = 1e-4  # [m] and [rad] together
-_ROUNDS_AT_ONCE = 4  # ICP keeps the interpreter, 1 to 2 ms a round; between calls other threads get their turn
+# ICP keeps the interpreter, 1 to 2 ms a round. Between calls other threads get their turn, and that takes a pause: a
+# thread that only lets go takes the lock again before another wakes up, and the others waited for all calls together.
+_ROUNDS_AT_ONCE, _TURN_OF_OTHERS_S = 4, 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +84,7 @@ class KissMotion:
     def _align(self, points: Array, T_start: Array) -> Array:
         sigma, pose = self._kiss.adaptive_threshold.get_threshold(), T_start
         for _ in range(self._num_calls):
+            time.sleep(_TURN_OF_OTHERS_S)
             last, pose = pose, self._kiss.registration.align_points_to_map(
                 points=points, voxel_map=self._kiss.local_map, initial_guess=pose,
                 max_correspondance_distance=3.0 * sigma, kernel=sigma,
