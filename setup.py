@@ -45,7 +45,7 @@ setup(
     maintainer="The svc_ros authors",
     maintainer_email="maintainers@svc-ros.invalid",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={PACKAGE: ["py.typed"]},
+    package_data={PACKAGE: ["py.typed", "evaluation/report_page/*"]},
     data_files=shared_files(),
     zip_safe=False,
     python_requires=">=3.10",
@@ -88,6 +88,7 @@ setup(
             "ros-jazzy-lifecycle-msgs",
         ],
         "las": ["laspy[lazrs]>=2.5"],
+        "cluster": ["distributed>=2024.5"],
         "report": ["plotly>=5.20", "matplotlib>=3.8"],
         # kiss-matcher has wheels for these only, and its sources need a C++ build.
         "compare": ["kiss-matcher>=1.0; python_version < '3.13' and platform_machine == 'x86_64'", "small-gicp>=1.0"],

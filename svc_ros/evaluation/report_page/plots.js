@@ -1,0 +1,182 @@
+// The flat plots: verdicts over time, evidence, times by stage, the way from above.
+const FLOOR = 0.0003; // smallest blocked share on the logarithmic axis
+
+function decisionRows() {
+  const d = data.decisions;
+  return d.line.map((line, k) => ({
+    line, time: d.time_s[k], verdict: d.verdict[k], reason: d.reason[k], probability: d.probability[k],
+    overlap: d.overlap[k], blocked: d.blocked[k], kept: packed.has(line),
+  }));
+}
+
+function hoverText(row) {
+  const time = row.time === null ? "" : ` at ${row.time.toFixed(1)} s`;
+  const numbers = row.overlap === null ? "" : `<br>overlap ${share(row.overlap)}, blocked ${share(row.blocked, 4)}`;
+  const sure = row.probability === null ? "" : `<br>probability ${share(row.probability)}`;
+  return `<b>decision ${row.line}</b>${time}<br>${row.verdict}: ${row.reason}${sure}${numbers}${row.kept ? "<br>click: look at it in 3D" : ""}`;
+}
+
+// One trace a verdict; rejected and undecided ones on top, and a ring around what can be looked at.
+function verdictTraces(rows, x, y) {
+  const traces = [];
+  for (const verdict of ["dropped", "accepted", "undecided", "rejected"]) {
+    const some = rows.filter((row) => row.verdict === verdict);
+    if (!some.length) continue;
+    const colour = css(verdict);
+    traces.push({
+      type: "scatter", mode: "markers", name: verdict, x: some.map(x), y: some.map(y),
+      customdata: some.map((row) => row.line), text: some.map(hoverText), hovertemplate: "%{text}<extra></extra>",
+      marker: { symbol: SYMBOLS[verdict], size: verdict === "accepted" ? 7 : 9, color: colour, opacity: verdict === "accepted" ? 0.75 : 0.95,
+        line: { width: verdict === "dropped" ? 1.5 : 0, color: colour } },
+    });
+  }
+  const kept = rows.filter((row) => row.kept);
+  traces.push({
+    type: "scatter", mode: "markers", name: "in 3D", hoverinfo: "skip", x: kept.map(x), y: kept.map(y),
+    marker: { symbol: "circle-open", size: 14, color: css("soft"), line: { width: 1 }, opacity: 0.7 },
+  });
+  const chosen = rows.filter((row) => row.line === chosenIndex);
+  traces.push({
+    type: "scatter", mode: "markers", name: "chosen", hoverinfo: "skip", x: chosen.map(x), y: chosen.map(y),
+    marker: { symbol: "circle-open", size: 19, color: css("accent"), line: { width: 3 } },
+  });
+  return traces;
+}
+
+function draw(id, traces, plotLayout) {
+  const div = byId(id);
+  const first = !div.data;
+  Plotly.react(div, traces, plotLayout, PLOT_CONFIG);
+  if (first) div.on("plotly_click", (event) => {
+    const line = event.points.map((point) => point.customdata).find((value) => value !== undefined);
+    if (line !== undefined) chooseFromPlot(line);
+  });
+}
+
+function drawTimeline() {
+  const rows = decisionRows();
+  const timed = rows.some((row) => row.time !== null);
+  const x = (row) => (timed ? row.time : row.line);
+  const unjudged = rows.some((row) => row.probability === null);
+  const traces = verdictTraces(rows, x, (row) => (row.probability === null ? -0.14 : row.probability));
+  for (const verdict of VERDICTS) {
+    const some = rows.filter((row) => row.verdict === verdict);
+    traces.unshift({
+      type: "scatter", mode: "markers", hoverinfo: "skip", x: some.map(x), y: some.map(() => 1.13),
+      marker: { symbol: "line-ns-open", size: 10, color: css(verdict), line: { width: 2, color: css(verdict) } },
+    });
+  }
+  const ticks = [0, 0.25, 0.5, 0.75, 1];
+  draw("timeline", traces, layout({
+    xaxis: axis(timed ? "time since the first scan [s]" : "decision", { showgrid: false }),
+    yaxis: axis("probability", {
+      range: [unjudged ? -0.22 : -0.06, 1.2], tickvals: unjudged ? [-0.14, ...ticks] : ticks,
+      ticktext: (unjudged ? ["not judged"] : []).concat(ticks.map(String)),
+    }),
+    shapes: [{ type: "line", xref: "paper", x0: 0, x1: 1, y0: 0.5, y1: 0.5, line: { color: css("soft"), width: 1, dash: "dot" } }],
+    margin: { l: 56, r: 12, t: 4, b: 40 },
+  }));
+  const drawn = rows.length;
+  const total = VERDICTS.reduce((sum, verdict) => sum + data.counts[verdict], 0);
+  const thinned = drawn < total;
+  byId("timeline-note").textContent =
+    `${whole(drawn)} of ${whole(total)} decisions drawn${thinned ? ", in all plots alike: those not accepted have the first claim, the others are chosen evenly" : ""}; ` +
+    `${whole(data.scenes.length)} of ${whole(total)} kept for 3D. The strip on top shows the order of verdicts.`;
+  describe("timeline", `Verdicts over time: ${VERDICTS.map((v) => `${data.counts[v]} ${v}`).join(", ")}.`);
+}
+
+function drawEvidence() {
+  const rows = decisionRows().filter((row) => row.overlap !== null);
+  const y = (row) => Math.max(row.blocked, FLOOR);
+  const border = data.border;
+  const traces = [];
+  const most = Math.max(0.5, ...rows.map(y)) * 1.25;
+  if (border) {
+    const area = (line, upper, colour) => traces.push({
+      type: "scatter", mode: "lines", hoverinfo: "skip", line: { width: 0 }, fill: "toself", fillcolor: css(colour),
+      x: [...border.overlap, ...[...border.overlap].reverse()], y: [...line, ...[...upper].reverse()],
+    });
+    const flat = (value) => border.overlap.map(() => value);
+    const outer = border.outer.map((value) => Math.max(value, FLOOR));
+    area(outer, flat(most), "tint-no");
+    area(border.inner, outer.map((value, k) => Math.max(value, border.inner[k])), "tint-maybe");
+    area(flat(FLOOR * 0.8), border.inner, "tint-yes");
+    traces.push({ type: "scatter", mode: "lines", hoverinfo: "skip", x: [0, border.min_overlap, border.min_overlap, 0], y: [FLOOR * 0.8, FLOOR * 0.8, most, most], line: { width: 0 }, fill: "toself", fillcolor: css("tint-none") });
+    const line = (values, dash) => traces.push({ type: "scatter", mode: "lines", hoverinfo: "skip", x: border.overlap, y: values, line: { color: css("soft"), width: 1.5, dash } });
+    line(outer, "solid");
+    line(border.inner, "dash");
+  }
+  const label = (x, y, text, more = {}) => ({ x, y: Math.log10(y), text, showarrow: false, font: { size: 12, color: css("soft") }, xanchor: "right", ...more });
+  draw("evidence", traces.concat(verdictTraces(rows, (row) => row.overlap, y)), layout({
+    xaxis: axis("oriented overlap", { range: [0, 1.02] }),
+    yaxis: axis("blocked share of the sight lines", { type: "log", range: [Math.log10(FLOOR * 0.8), Math.log10(most)], tickvals: [0.0003, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1], ticktext: ["≤ 0.0003", "0.001", "0.003", "0.01", "0.03", "0.1", "0.3", "1"] }),
+    annotations: border ? [
+      label(0.99, most * 0.8, "never accepted"), label(0.99, 0.133, "other evidence decides"), label(0.99, 0.055, "never rejected for it"),
+      label(border.min_overlap / 2, 0.012, "too little overlap", { textangle: -90, xanchor: "center" }),
+    ] : [],
+    margin: { l: 64, r: 12, t: 8, b: 44 },
+  }));
+  byId("evidence-hint").textContent = "Surface in the way of sight lines speaks against a pose, surface seen alike by both scans for it.";
+  byId("evidence-note").textContent = `${whole(rows.length)} judged decisions drawn. ` + (border
+    ? "Above the solid line nothing makes a pose good; below the dashed line blocked lines alone never reject it; in between contact, scatter and free space decide."
+    : "No border is drawn: the method of this run decides by another rule.");
+  describe("evidence", `Blocked share against oriented overlap of ${rows.length} judged decisions.`);
+}
+
+function drawMap() {
+  const map = data.map;
+  const line = (points, name, style) => ({ type: "scatter", mode: "lines", name, hoverinfo: "skip", x: points.map((p) => p[0]), y: points.map((p) => p[1]), line: style });
+  const traces = [];
+  if (map.reference.length) traces.push(line(map.reference, "reference", { color: css("soft"), width: 1.5, dash: "dot" }));
+  if (map.way.length) traces.push(line(map.way, "way", { color: css("ring"), width: 5 }));
+  let drawn = 0;
+  for (const verdict of ["dropped", "accepted", "undecided", "rejected"]) {
+    const links = map.links[verdict];
+    if (!links.length) continue;
+    drawn += links.length;
+    const x = links.flatMap(([, x0, , x1]) => [x0, x1, null]);
+    const y = links.flatMap(([, , y0, , y1]) => [y0, y1, null]);
+    traces.push({ type: "scatter", mode: "lines", hoverinfo: "skip", x, y, line: { color: css(verdict), width: 2, dash: verdict === "accepted" ? "solid" : "dash" } });
+    const rows = new Map(decisionRows().map((row) => [row.line, row]));
+    traces.push({
+      type: "scatter", mode: "markers", name: verdict, customdata: links.map(([k]) => k), hovertemplate: "%{text}<extra></extra>",
+      text: links.map(([k]) => hoverText(rows.get(k))), x: links.map(([, x0, , x1]) => (x0 + x1) / 2), y: links.map(([, , y0, , y1]) => (y0 + y1) / 2),
+      marker: { symbol: SYMBOLS[verdict], size: verdict === "accepted" ? 6 : 10, color: css(verdict), line: { width: verdict === "dropped" ? 1.5 : 0, color: css(verdict) } },
+    });
+    const chosen = links.filter(([k]) => k === chosenIndex);
+    if (chosen.length) traces.push({
+      type: "scatter", mode: "markers", hoverinfo: "skip", x: chosen.map(([, x0, , x1]) => (x0 + x1) / 2), y: chosen.map(([, , y0, , y1]) => (y0 + y1) / 2),
+      marker: { symbol: "circle-open", size: 19, color: css("accent"), line: { width: 3 } },
+    });
+  }
+  draw("map", traces, layout({
+    xaxis: axis("x [m]"), yaxis: axis("y [m]", { scaleanchor: "x", scaleratio: 1 }), dragmode: coarse.matches ? false : "pan",
+    margin: { l: 56, r: 12, t: 8, b: 44 },
+  }));
+  byId("map-hint").textContent = "Links join the two scans of a decision: solid where accepted, dashed where not.";
+  const from = { trajectory: "Places are those of trajectory_tum.txt.", reference: "Places are those of the reference.", "accepted pairs": "Places follow from accepted pairs, in the frame of the first of them." }[map.basis];
+  byId("map-note").textContent = `${map.way.length ? from : "No scan could be placed."} ${whole(drawn)} links drawn` +
+    `${map.num_unplaced ? `, ${whole(map.num_unplaced)} not, for want of a place for one of their scans` : ""}.` +
+    `${map.reference.length ? " Dotted: the reference, moved rigidly onto the way." : ""}`;
+  describe("map", `The way from above with ${map.links.accepted.length} accepted and ${map.links.rejected.length} rejected links.`);
+}
+
+function drawTimes() {
+  const t = data.times;
+  const names = t.stages.map((name) => name.replaceAll("_", " ")).reverse();
+  const bar = (values, name, width, colour, opacity) => ({
+    type: "bar", orientation: "h", name, y: names, x: [...values].reverse(), width, marker: { color: colour, opacity },
+    hovertemplate: `%{y}: ${name} %{x:.1f} ms<extra></extra>`,
+  });
+  byId("times").style.height = `${Math.max(180, 70 + 27 * names.length)}px`;
+  draw("times", [bar(t.p95_ms, "95th percentile", 0.74, css("accent"), 0.25), bar(t.median_ms, "median", 0.42, css("accent"), 1)], layout({
+    barmode: "overlay", xaxis: axis("milliseconds", { rangemode: "tozero" }), yaxis: axis("", { showgrid: false, tickfont: { size: 13, color: css("ink") } }),
+    margin: { l: 90, r: 12, t: 4, b: 44 },
+  }));
+  byId("times-hint").textContent = t.num_decisions
+    ? `Dark: median, pale: 95th percentile, over ${whole(t.num_decisions)} decisions. In total ${t.total_median_ms.toFixed(1)} ms and ${t.total_p95_ms.toFixed(1)} ms.`
+    : "No decision tells how long it took.";
+  describe("times", `Median time by stage: ${t.stages.map((name, k) => `${name} ${t.median_ms[k].toFixed(1)} ms`).join(", ")}.`);
+}
+
+function describe(id, text) { byId(id).setAttribute("aria-label", text); }

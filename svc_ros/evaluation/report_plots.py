@@ -1,0 +1,167 @@
+"""The numbers behind the plots of a report: the decision's border, times by stage, the way from above."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from svc_ros.core import se3
+from svc_ros.core.config import Config
+from svc_ros.core.decision import measure_margins
+from svc_ros.core.decision_config import DecisionConfig
+from svc_ros.core.errors import TransformUnavailableError
+from svc_ros.core.evidence import SightLines, SightViewEvidence
+from svc_ros.core.result import Verdict
+from svc_ros.core.scan import Array
+from svc_ros.evaluation.links import Link, join_scans
+from svc_ros.evaluation.metrics import percentile
+from svc_ros.evaluation.report_data import Record, Run, verdict_of
+from svc_ros.evaluation.sight_lines import choose_evenly
+from svc_ros.io.trajectories import Trajectory
+
+MAX_PATH_POINTS = 3000
+_LINES = 10_000  # of the made-up evidence that finds the border: its resolution is one in so many
+
+
+def decision_border(config: Config) -> dict[str, Any] | None:
+    """Where blocked share and overlap alone decide; None for methods that decide otherwise.
+
+    min_overlap: less is never accepted; overlap (K,), outer (K,): more blocked than this is never accepted, whatever
+    else the evidence says; inner (K,): less is never rejected for it. In between the other evidence decides.
+    """
+    if config.method != "svc":
+        return None
+    limits = config.decision
+    overlap = np.linspace(1.0001 * limits.min_oriented_overlap, 1.0, 31)
+    return {
+        "min_overlap": limits.min_oriented_overlap,
+        "overlap": overlap.round(4).tolist(),
+        "outer": [round(_most_blocked(float(x), limits), 5) for x in overlap],
+        "inner": (limits.max_blocked_per_overlap * overlap).round(5).tolist(),
+    }
+
+
+def _most_blocked(overlap: float, limits: DecisionConfig) -> float:
+    """The largest blocked share that is still accepted at that overlap, everything else being as good as can be."""
+    low, high = 0, _LINES
+    while high - low > 1:
+        middle = (low + high) // 2
+        if _margin(overlap, middle, limits) > 0:
+            low = middle
+        else:
+            high = middle
+    return low / _LINES
+
+
+def _margin(overlap: float, num_blocked: int, limits: DecisionConfig) -> float:
+    idx = np.zeros(num_blocked, np.int64)
+    blocked = SightLines(_LINES, _LINES, idx, idx, num_scattered=0)
+    clear = SightLines(_LINES, _LINES, idx[:0], idx[:0])
+    return measure_margins(SightViewEvidence(blocked, clear, 1.0, overlap, 0.0), limits).smallest
+
+
+def stage_times(records: Sequence[Record]) -> dict[str, Any]:
+    """Median and 95th percentile [ms] of every stage over the decisions that took time, slowest first; and of all."""
+    times = [record["time_ms"] for record in records if (record.get("time_ms") or {}).get("total")]
+    names = sorted({name for entry in times for name in entry if name != "total"})
+
+    def shares(name: str) -> tuple[float, float]:
+        values = [float(entry[name]) for entry in times if name in entry]
+        return round(percentile(values, 50) or 0.0, 3), round(percentile(values, 95) or 0.0, 3)
+
+    rows = sorted(((name, *shares(name)) for name in names), key=lambda row: -row[1])
+    total = shares("total")
+    return {
+        "num_decisions": len(times),
+        "stages": [row[0] for row in rows],
+        "median_ms": [row[1] for row in rows],
+        "p95_ms": [row[2] for row in rows],
+        "total_median_ms": total[0],
+        "total_p95_ms": total[1],
+    }
+
+
+def map_from_above(run: Run, reference: Trajectory | None, drawn: Sequence[int]) -> dict[str, Any]:
+    """The way, the reference (moved rigidly onto it), and a link for every drawn decision on two placed scans.
+
+    Coordinates [m] are x and y of the trajectory, or of the reference where there is none, or of scans placed by
+    accepted pairs where there is neither.
+    """
+    way, basis = _way(run, reference)
+    links: dict[str, list[Any]] = {verdict.value: [] for verdict in Verdict}
+    unplaced = 0
+    for k in drawn:
+        record = run.records[k]
+        stamps = [int(record.get(f"{side}_stamp_ns") or 0) for side in ("target", "source")]
+        if not all(stamps) or stamps[0] == stamps[1]:
+            continue
+        ends = None if way is None else [_place(way, stamp) for stamp in stamps]
+        if ends is None or ends[0] is None or ends[1] is None:
+            unplaced += 1
+            continue
+        links[verdict_of(record).value].append([k, *ends[0], *ends[1]])
+    drawn_reference = None if reference is None or basis == "reference" else _moved_onto(reference, way)
+    return {
+        "basis": basis,
+        "way": _xy(way),
+        "reference": _xy(drawn_reference),
+        "links": links,
+        "num_unplaced": unplaced,
+    }
+
+
+def _way(run: Run, reference: Trajectory | None) -> tuple[Trajectory | None, str]:
+    if run.trajectory is not None:
+        return run.trajectory, "trajectory"
+    if reference is not None:
+        return reference, "reference"
+    return _chain(run.records), "accepted pairs"
+
+
+def _chain(records: Sequence[Record]) -> Trajectory | None:
+    """The largest set of scans that accepted pairs hold together, in the frame of its first scan."""
+    pairs = [(int(r.get("source_stamp_ns") or 0), int(r.get("target_stamp_ns") or 0), r) for r in records]
+    stamps = sorted({stamp for source, target, _ in pairs for stamp in (source, target)})
+    number = {stamp: k for k, stamp in enumerate(stamps)}
+    links = [
+        Link(number[source], number[target], Verdict.ACCEPTED, np.array(record["T_target_source"], float))
+        for source, target, record in pairs
+        if verdict_of(record) is Verdict.ACCEPTED and record.get("T_target_source") and source != target
+    ]
+    if not links:
+        return None
+    part = max(join_scans(len(stamps), links), key=lambda part: len(part.scan_idx))
+    return Trajectory(np.array(stamps, np.int64)[part.scan_idx], part.T_part_scan)
+
+
+def _place(way: Trajectory, stamp_ns: int) -> list[float] | None:
+    try:
+        pose = way.at(stamp_ns)
+    except TransformUnavailableError:
+        return None
+    return [round(float(value), 2) for value in pose[:2, 3]]
+
+
+def _moved_onto(reference: Trajectory, way: Trajectory | None) -> Trajectory | None:
+    """The reference after the rigid motion that brings it nearest to the way at the way's stamps."""
+    if way is None:
+        return None
+    inside = (way.stamps_ns >= reference.stamps_ns[0]) & (way.stamps_ns <= reference.stamps_ns[-1])
+    stamps = choose_evenly(way.stamps_ns[inside], MAX_PATH_POINTS)
+    if len(stamps) < 3:
+        return None
+    from_places = np.stack([reference.at(int(stamp))[:3, 3] for stamp in stamps])
+    to_places = np.stack([way.at(int(stamp))[:3, 3] for stamp in stamps])
+    T, determined = se3.kabsch(from_places[None], to_places[None], np.ones((1, len(stamps))))
+    if not determined[0]:  # a straight way: its first pose says how it is turned
+        T = (way.at(int(stamps[0])) @ se3.invert(reference.at(int(stamps[0]))))[None]
+    return Trajectory(reference.stamps_ns, T[0] @ reference.poses)
+
+
+def _xy(way: Trajectory | None) -> list[list[float]]:
+    if way is None:
+        return []
+    rows: Array = way.poses[choose_evenly(np.arange(len(way)), MAX_PATH_POINTS), :2, 3]
+    return [[round(float(value), 2) for value in row] for row in rows]

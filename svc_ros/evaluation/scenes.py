@@ -1,0 +1,188 @@
+"""Pairs of scans that are kept for a person to look at in three dimensions: few, thin, and the ones worth a look."""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from svc_ros.core import se3
+from svc_ros.core.errors import InputError
+from svc_ros.core.evidence import SightLines
+from svc_ros.core.result import RegistrationResult
+from svc_ros.core.scan import Array, PreparedScan
+from svc_ros.evaluation.sight_lines import choose_evenly, choose_lines
+
+MAX_POINTS = 5000  # of each scan: more are not told apart on a screen
+MAX_LINES = 400  # of each kind and scan, as in RViz: more is a ball of wool
+
+Points = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class SideView:
+    """What is drawn of one scan of a pair, all of it (N, 3) [m] in the target's frame.
+
+    points: the thinned scan; origin: (3,), where its sensor stood; clear, blocked: ends of sight lines that start
+    there; blockers: points of the *other* scan that stand in the way of its lines; num_points, num_lines, num_blocked:
+    how many there were before thinning.
+    """
+
+    points: Points
+    origin: Points
+    clear: Points
+    blocked: Points
+    blockers: Points
+    num_points: int
+    num_lines: int
+    num_blocked: int
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One decision in three dimensions.
+
+    index: its line in decisions.jsonl, from 0; T_target_source: (4, 4), the pose that was judged, right or not; None
+    where there was none: the source then stands in its own frame.
+    """
+
+    index: int
+    target: SideView
+    source: SideView
+    T_target_source: Array | None
+
+    @property
+    def num_blocked_drawn(self) -> int:
+        """Red sight lines in the picture."""
+        return len(self.target.blocked) + len(self.source.blocked)
+
+
+def make_scene(index: int, source: PreparedScan, target: PreparedScan, result: RegistrationResult) -> Scene:
+    """Thin copies of both scans, placed by the judged pose, with the sight lines that the evidence tells of.
+
+    Raises InputError where the evidence belongs to other scans, or tells only how many lines are blocked.
+    """
+    evidence, T = result.evidence, result.best_candidate
+    seen = None if evidence is None else (evidence.source_in_target, evidence.target_in_source)
+    T_source_target = None if T is None else se3.invert(T)
+    return Scene(
+        index,
+        _side(target, source, np.eye(4), T, None if seen is None else seen[0]),
+        _side(source, target, np.eye(4) if T is None else T, T_source_target, None if seen is None else seen[1]),
+        T,
+    )
+
+
+def _side(
+    observer: PreparedScan, other: PreparedScan, T_target_observer: Array, T_observer_other: Array | None,
+    lines: SightLines | None,
+) -> SideView:  # fmt: skip
+    def placed(points: Array) -> Points:
+        return se3.apply(T_target_observer, points).astype(np.float32)
+
+    shown = placed(observer.points[choose_evenly(np.arange(len(observer)), MAX_POINTS)])
+    (origin,) = placed(observer.sensor_origin[None])
+    if lines is None or T_observer_other is None:
+        nothing = np.zeros((0, 3), np.float32)
+        return SideView(shown, origin, nothing, nothing, nothing, len(observer), 0, 0)
+    _check_lines(lines, observer, other)
+    drawn = choose_lines(lines, len(observer), MAX_LINES)
+    blocker_idx = choose_evenly(np.unique(lines.blocker_idx), MAX_LINES)
+    blockers = placed(se3.apply(T_observer_other, other.points[blocker_idx]))
+    clear, blocked = (placed(observer.points[idx]) for idx in drawn)
+    return SideView(shown, origin, clear, blocked, blockers, len(observer), lines.num_lines, lines.num_blocked)
+
+
+def _check_lines(lines: SightLines, observer: PreparedScan, other: PreparedScan) -> None:
+    for name, idx, num in (("blocked", lines.blocked_idx, len(observer)), ("blocker", lines.blocker_idx, len(other))):
+        if len(idx) and not (idx.min() >= 0 and idx.max() < num):
+            raise InputError(
+                f"scene: expected {name} indices from 0 to {num - 1}, found {idx.min()} to {idx.max()}: "
+                "the evidence is not of these scans, or was read from JSON, which keeps no indices"
+            )
+
+
+class SceneKeeper:
+    """Chooses the scenes of a run while it goes on, in bounded memory and the same ones each time.
+
+    Kept are decisions that were not accepted, those nearest to acceptance first and the rest spread over the run, and
+    accepted ones, the least sure and again a spread. One kind leaves its places to the others where it is rare.
+    """
+
+    def __init__(self, max_scenes: int = 60) -> None:
+        if max_scenes < 1:
+            raise InputError(f"scenes: expected to keep at least one, found {max_scenes}")
+        self._max = max_scenes
+        self._pools: dict[bool, tuple[_Doubtful, _Spread]] = {
+            accepted: (_Doubtful(max_scenes), _Spread(max_scenes)) for accepted in (False, True)
+        }
+        self._scenes: dict[int, Scene] = {}
+
+    def offer(self, index: int, source: PreparedScan, target: PreparedScan, result: RegistrationResult) -> None:
+        """Take thin copies of a decision's scans, or leave it; index: its line in decisions.jsonl, from 0."""
+        doubtful, spread = self._pools[result.accepted]
+        probability = 0.5 if result.probability is None else result.probability
+        doubt = 1.0 - probability if result.accepted else probability
+        taken = [doubtful.take(index, doubt), spread.take(index)]
+        if any(taken):
+            self._scenes[index] = make_scene(index, source, target, result)
+            held = {k for pools in self._pools.values() for pool in pools for k in pool.held()}
+            self._scenes = {k: scene for k, scene in self._scenes.items() if k in held}
+
+    @property
+    def scenes(self) -> list[Scene]:
+        """At most `max_scenes` of what was offered, in the order of their indices."""
+        orders = [pool.held() for pools in self._pools.values() for pool in pools]
+        chosen: dict[int, None] = {}
+        for share in (0.25, 0.5, 1.0):  # every kind gets its quarter before one gets more
+            for order in orders:
+                for k in order[: max(1, round(share * self._max))]:
+                    if len(chosen) < self._max:
+                        chosen[k] = None
+        return [self._scenes[k] for k in sorted(chosen)]
+
+
+class _Doubtful:
+    """The indices with the largest doubt; of equal doubt the earlier ones."""
+
+    def __init__(self, capacity: int) -> None:
+        self._capacity = capacity
+        self._heap: list[tuple[float, int]] = []
+
+    def take(self, index: int, doubt: float) -> bool:
+        entry = (doubt, -index)
+        if len(self._heap) < self._capacity:
+            heapq.heappush(self._heap, entry)
+            return True
+        return heapq.heappushpop(self._heap, entry) != entry
+
+    def held(self) -> list[int]:
+        """Most doubtful first."""
+        return [-negative for _, negative in sorted(self._heap, reverse=True)]
+
+
+class _Spread:
+    """Every so-many-th index, the step doubling whenever there are too many."""
+
+    def __init__(self, capacity: int) -> None:
+        self._capacity = capacity
+        self._step, self._num_seen = 1, 0
+        self._kept: list[int] = []
+
+    def take(self, index: int) -> bool:
+        number, self._num_seen = self._num_seen, self._num_seen + 1
+        if number % self._step:
+            return False
+        self._kept.append(index)
+        if len(self._kept) <= self._capacity:
+            return True
+        self._kept, self._step = self._kept[::2], 2 * self._step
+        return self._kept[-1] == index
+
+    def held(self) -> list[int]:
+        """In an order in which every beginning is spread over the run: halves before quarters."""
+        num = len(self._kept)
+        order = sorted(range(num), key=lambda k: (-(k & -k) if k else -num, k))
+        return [self._kept[k] for k in order]
