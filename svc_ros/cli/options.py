@@ -25,6 +25,10 @@ ConfigOption = Annotated[
 JsonOption = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - writes it to stdout, alone.")
 ]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option("--scheduler", metavar="ADDRESS", help="Spread by Dask: local, or a scheduler's tcp://host:port."),
+]
 
 
 @dataclass(frozen=True)

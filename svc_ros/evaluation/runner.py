@@ -1,25 +1,30 @@
-"""A data set with reference poses through the registration: what was accepted, what was right, how long it took."""
+"""Data sets with reference poses through the registration: what was accepted, what was right, how long it took."""
 
 from __future__ import annotations
 
 import multiprocessing
 import signal
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import uuid
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any, TypeVar
+from functools import partial
+from typing import Any, Protocol, TypeVar, cast
 
-from numpy.typing import ArrayLike
-
-from svc_ros.core import registration
 from svc_ros.core.config import Config, with_values
-from svc_ros.core.errors import InputError, SvcError, TooFewPointsError
-from svc_ros.core.result import RegistrationResult
-from svc_ros.core.scan import Features, PreparedScan
-from svc_ros.evaluation.metrics import LabelledDecision, PairOutcome, judge_pose
+from svc_ros.core.errors import InputError, SvcError
+from svc_ros.evaluation.evaluator import (
+    CANDIDATES,
+    KINDS,
+    NEGATIVE,
+    PAIR,
+    Chunk,
+    Job,
+    forget_scans,
+    run_chunk,
+    without_pairs,
+)
+from svc_ros.evaluation.suite_recall import summarise_recall
 from svc_ros.evaluation.summary import (
     JobReport,
     Row,
@@ -28,172 +33,153 @@ from svc_ros.evaluation.summary import (
     summarise_pairs,
     summarise_times,
 )
-from svc_ros.io.datasets import CandidatePair, Dataset, Pair
-from svc_ros.pipeline.decide import refused, register_pair
+from svc_ros.evaluation.threads import processors_for_each, use_threads
+from svc_ros.io.datasets import Dataset
+from svc_ros.io.suites import Suite, SuitePair
 
 ProgressCallback = Callable[[int, int], None]
-T = TypeVar("T")
+Item = TypeVar("Item")
+Answer = TypeVar("Answer")
 
-_CACHED_SCANS = 32  # a scan with features takes about 5 MB
 _CHUNK = 4  # neighbours in the list share scans, so a worker gets a few in a row
 
-_PAIR, _NEGATIVE, _CANDIDATES = "pair", "negative", "candidates"
 
+class Crew(Protocol):
+    """Whoever does the work: gives the answers to all items in order, and tells the index of each that is done.
 
-@dataclass(frozen=True)
-class _Job:
-    """One unit of work; small, because it travels to another process."""
+    An exception of an item is raised, of several that of the first in order.
+    """
 
-    kind: str
-    index: int
-
-
-class _Evaluator:
-    """Does jobs of one data set; lives once in the serial run and once in every worker process."""
-
-    def __init__(self, dataset: Dataset, config: Config) -> None:
-        self.dataset, self.config = dataset, config
-        self._prepared: Callable[[str], PreparedScan] = lru_cache(_CACHED_SCANS)(self._prepare)
-        self._features: Callable[[str], Features] = lru_cache(_CACHED_SCANS)(self._describe)
-        self._scan_times: list[Mapping[str, float]] = []
-
-    def run(self, job: _Job) -> JobReport:
-        """Do one job; what a scan cost to prepare is reported by the job that needed it first."""
-        if job.kind == _PAIR:
-            report = self._run_pair(self.dataset.pairs[job.index])
-        elif job.kind == _NEGATIVE:
-            report = self._run_negative(self.dataset.negatives[job.index])
-        else:
-            report = self._run_candidates(self.dataset.candidates[job.index])
-        report.scan_times, self._scan_times = self._scan_times, []
-        return report
-
-    def _run_pair(self, pair: Pair) -> JobReport:
-        if pair.T_target_source is None:
-            raise InputError(f"{_name(self.dataset, pair)}: expected a reference T_target_source, found none")
-        result = self._register(pair)
-        outcome = judge_pose(result.best_candidate, pair.T_target_source, self.dataset.success, result.accepted)
-        row = _pair_row(pair, result) | {
-            "rotation_error_deg": outcome.rotation_error_deg,
-            "translation_error_m": outcome.translation_error_m,
-        }
-        return JobReport(row=row, outcome=outcome, register_times=[result.time_ms])
-
-    def _run_negative(self, pair: Pair) -> JobReport:
-        result = self._register(pair)
-        outcome = PairOutcome(result.accepted, correct=False)
-        return JobReport(row=_pair_row(pair, result), outcome=outcome, register_times=[result.time_ms])
-
-    def _run_candidates(self, pair: CandidatePair) -> JobReport:
-        report = JobReport()
-        for candidate in pair.candidates:
-            if candidate.label == "grey":
-                continue
-            result = self._verify(pair, candidate.T_target_source)
-            correct = candidate.label == "correct"
-            decision = LabelledDecision(result.accepted, correct, result.probability, candidate.origin)
-            report.decisions.append(decision)
-            if "total" in result.time_ms:
-                report.verify_ms.append(result.time_ms["total"])
-        return report
-
-    def _register(self, pair: Pair) -> RegistrationResult:
-        try:
-            source, target = self._both(pair, self._features)
-        except TooFewPointsError as error:
-            return refused(error, self.config)
-        return register_pair(source, target, self.config)
-
-    def _verify(self, pair: CandidatePair, T_target_source: ArrayLike) -> RegistrationResult:
-        try:
-            source, target = self._both(pair, self._prepared)
-        except TooFewPointsError as error:
-            return refused(error, self.config)
-        return registration.verify(source, target, T_target_source, self.config)
-
-    def _both(self, pair: Pair | CandidatePair, get: Callable[[str], T]) -> tuple[T, T]:
-        try:
-            return get(pair.source), get(pair.target)
-        except TooFewPointsError:
-            raise
-        except (SvcError, OSError) as error:
-            raise InputError(f"{_name(self.dataset, pair)}: {error}") from None
-
-    def _prepare(self, path: str) -> PreparedScan:
-        scan = self.dataset.read_scan(path)
-        return self._timed("prepare", lambda: registration.prepare(scan, self.config))
-
-    def _describe(self, path: str) -> Features:
-        prepared = self._prepared(path)
-        return self._timed("features", lambda: registration.extract_features(prepared, self.config))
-
-    def _timed(self, stage: str, work: Callable[[], T]) -> T:
-        start = time.perf_counter()
-        value = work()
-        self._scan_times.append({stage: 1e3 * (time.perf_counter() - start)})
-        return value
+    def __call__(
+        self, function: Callable[[Item], Answer], items: Sequence[Item], on_done: Callable[[int], None], /
+    ) -> list[Answer]: ...
 
 
 def evaluate_dataset(
     dataset: Dataset,
     config: Config,
     limit: int | None = None,
-    workers: int = 1,
+    workers: int | Crew = 1,
     on_progress: ProgressCallback | None = None,
 ) -> Row:
     """Register every pair of a data set, and judge its labelled candidates where it has them.
 
     The data set's range limits replace the config's. `limit` keeps the first pairs of each kind. Each scan's features
     are computed once and reused: `register_p50` is the time of a pair whose features exist, and the stages `prepare`
-    and `features` are times of one scan. With several `workers` the pairs are spread over processes; the report is
-    the same, times aside. `on_progress(done, total)` counts jobs. `preset` in the report is the data set's own.
+    and `features` are times of one scan. With several `workers` the pairs are spread over processes, or over a crew
+    (see `distributed`); the report is the same, times aside. `on_progress(done, total)` counts jobs. `preset` in the
+    report is the data set's own. A benchmark's report has `recall` by each of its definitions too.
 
     Raises InputError naming the pair whose files cannot be read; a scan with too few points is a rejected pair.
     """
-    if workers < 1 or (limit is not None and limit < 1):
+    return evaluate_datasets([(dataset, config)], limit, workers, on_progress)[0]
+
+
+def evaluate_datasets(
+    sets: Sequence[tuple[Dataset, Config]],
+    limit: int | None = None,
+    workers: int | Crew = 1,
+    on_progress: ProgressCallback | None = None,
+) -> list[Row]:
+    """`evaluate_dataset` of several data sets, each with its config: all are spread together; a report each."""
+    few = isinstance(workers, int) and workers < 1
+    if few or (limit is not None and limit < 1):
         raise InputError(f"evaluation: expected workers and limit of at least 1, found {workers} and {limit}")
-    config = with_values(
-        config, {"preprocess.min_range_m": dataset.min_range_m, "preprocess.max_range_m": dataset.max_range_m}
-    )
-    jobs = _list_jobs(dataset, limit)
-    reports = []
-    for report in _run_jobs(dataset, config, jobs, workers):
-        reports.append(report)
-        if on_progress is not None:
-            on_progress(len(reports), len(jobs))
-    by_kind = {
-        kind: [r for job, r in zip(jobs, reports, strict=True) if job.kind == kind]
-        for kind in (_PAIR, _NEGATIVE, _CANDIDATES)
-    }
-    return {
+    within_range = [(dataset, _within_range(dataset, config)) for dataset, config in sets]
+    jobs = [_list_jobs(dataset, limit) for dataset, _ in within_range]
+    reports = iter(_run_jobs(within_range, jobs, workers, on_progress))
+    return [
+        _summarise(dataset, config, of_set, [next(reports) for _ in of_set])
+        for (dataset, config), of_set in zip(within_range, jobs, strict=True)
+    ]
+
+
+def _within_range(dataset: Dataset, config: Config) -> Config:
+    limits = {"preprocess.min_range_m": dataset.min_range_m, "preprocess.max_range_m": dataset.max_range_m}
+    return with_values(config, limits)
+
+
+def _list_jobs(dataset: Dataset, limit: int | None) -> list[Job]:
+    kinds: dict[str, Sequence[Any]] = {
+        PAIR: dataset.pairs, NEGATIVE: dataset.negatives, CANDIDATES: dataset.candidates or ()
+    }  # fmt: skip
+    return [Job(kind, item) for kind, items in kinds.items() for item in items[:limit]]
+
+
+def _summarise(dataset: Dataset, config: Config, jobs: Sequence[Job], reports: Sequence[JobReport]) -> Row:
+    done = list(zip(jobs, reports, strict=True))
+    by_kind = {kind: [report for job, report in done if job.kind == kind] for kind in KINDS}
+    summary: Row = {
         "dataset": dataset.name,
         "method": config.method,
         "preset": dataset.preset,
-        "registration": summarise_pairs(by_kind[_PAIR]),
-        "decision": summarise_candidates(by_kind[_CANDIDATES]),
-        "negatives": summarise_negatives(by_kind[_NEGATIVE]),
+        "registration": summarise_pairs(by_kind[PAIR]),
+        "decision": summarise_candidates(by_kind[CANDIDATES]),
+        "negatives": summarise_negatives(by_kind[NEGATIVE]),
         "time_ms": summarise_times(reports),
     }
+    if isinstance(dataset, Suite):
+        pairs = [cast(SuitePair, job.item) for job in jobs if job.kind == PAIR]
+        summary["recall"] = summarise_recall(dataset, pairs, summary["registration"]["pairs"])
+    return summary
 
 
-def _list_jobs(dataset: Dataset, limit: int | None) -> list[_Job]:
-    kinds: dict[str, Sequence[Any]] = {
-        _PAIR: dataset.pairs, _NEGATIVE: dataset.negatives, _CANDIDATES: dataset.candidates or ()
-    }  # fmt: skip
-    return [_Job(kind, i) for kind, items in kinds.items() for i in range(len(items[:limit]))]
+def _run_jobs(
+    sets: Sequence[tuple[Dataset, Config]],
+    jobs: Sequence[Sequence[Job]],
+    workers: int | Crew,
+    on_progress: ProgressCallback | None,
+) -> list[JobReport]:
+    total = sum(map(len, jobs))
+    alone = isinstance(workers, int) and min(workers, total) <= 1
+    size = 1 if alone else min(_CHUNK, -(-total // workers)) if isinstance(workers, int) else _CHUNK
+    chunks = [chunk for of_set, given in zip(jobs, sets, strict=True) for chunk in _chunks(given, of_set, size)]
+    done = 0
+
+    def count(index: int) -> None:
+        nonlocal done
+        for _ in chunks[index].jobs:
+            done += 1
+            if on_progress is not None:
+                on_progress(done, total)
+
+    if not isinstance(workers, int):
+        crew = workers
+    else:
+        crew = cast(Crew, _one_by_one if alone else partial(_over_processes, min(workers, total)))
+    return [report for of_chunk in crew(run_chunk, chunks, count) for report in of_chunk]
 
 
-def _run_jobs(dataset: Dataset, config: Config, jobs: Sequence[_Job], workers: int) -> Iterator[JobReport]:
-    if workers == 1 or len(jobs) < 2:
-        evaluator = _Evaluator(dataset, config)
-        yield from map(evaluator.run, jobs)
-        return
+def _chunks(given: tuple[Dataset, Config], jobs: Sequence[Job], size: int) -> list[Chunk]:
+    run, dataset = uuid.uuid4().hex, without_pairs(given[0])
+    return [Chunk(run, dataset, given[1], tuple(jobs[k : k + size])) for k in range(0, len(jobs), size)]
+
+
+def _one_by_one(
+    function: Callable[[Item], Answer], items: Sequence[Item], on_done: Callable[[int], None]
+) -> list[Answer]:
+    answers = []
+    try:
+        for index, item in enumerate(items):
+            answers.append(function(item))
+            on_done(index)
+    finally:
+        forget_scans()
+    return answers
+
+
+def _over_processes(
+    workers: int, function: Callable[[Item], Answer], items: Sequence[Item], on_done: Callable[[int], None]
+) -> list[Answer]:
     # spawned, not forked: a fork would copy the locks of numba's and Open3D's threads in whatever state they are
     context = multiprocessing.get_context("spawn")
     others = multiprocessing.active_children()
-    pool = ProcessPoolExecutor(min(workers, len(jobs)), context, _start_worker, (dataset, config))
+    pool = ProcessPoolExecutor(workers, context, _start_worker, (processors_for_each(workers),))
+    answers = []
     try:
-        yield from pool.map(_run_in_worker, jobs, chunksize=min(_CHUNK, -(-len(jobs) // workers)))
+        for index, answer in enumerate(pool.map(function, items)):
+            answers.append(answer)
+            on_done(index)
     except BrokenProcessPool:
         raise SvcError("evaluation: a worker process died, perhaps for lack of memory: use fewer workers") from None
     except BaseException:
@@ -204,35 +190,9 @@ def _run_jobs(dataset: Dataset, config: Config, jobs: Sequence[_Job], workers: i
         raise
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
+    return answers
 
 
-_worker: _Evaluator | None = None
-
-
-def _start_worker(dataset: Dataset, config: Config) -> None:
-    global _worker
+def _start_worker(num_threads: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer, once
-    _worker = _Evaluator(dataset, config)
-
-
-def _run_in_worker(job: _Job) -> JobReport:
-    assert _worker is not None  # the pool's initializer made it
-    return _worker.run(job)
-
-
-def _pair_row(pair: Pair, result: RegistrationResult) -> Row:
-    return {
-        "source": pair.source,
-        "target": pair.target,
-        "overlap": pair.overlap,
-        "verdict": result.verdict.value,
-        "reason": result.reason.value,
-        "rotation_error_deg": None,
-        "translation_error_m": None,
-        "probability": result.probability,
-        "time_ms": result.time_ms.get("total"),
-    }
-
-
-def _name(dataset: Dataset, pair: Pair | CandidatePair) -> str:
-    return f"{dataset.name}: pair {pair.source} -> {pair.target}"
+    use_threads(num_threads)

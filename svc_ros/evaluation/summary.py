@@ -17,6 +17,8 @@ from svc_ros.evaluation.metrics import (
 
 Row = dict[str, Any]
 
+_COUNTS = ("num_pairs", "num_accepted", "num_correct_accepted", "num_false_accepted")
+
 
 @dataclass
 class JobReport:
@@ -68,6 +70,22 @@ def summarise_times(reports: Sequence[JobReport]) -> Row:
         "verify_p50": percentile((ms for r in reports for ms in r.verify_ms), 50),
         "features_p50": stages.get("features"),
         "stages_p50": stages,
+    }
+
+
+def summarise_total(reports: Sequence[Row]) -> Row:
+    """Numbers over several data sets' reports: pairs are counted together, each with its own set's thresholds."""
+    found = [report["registration"] for report in reports]
+    counts = {key: sum(section[key] for section in found) for key in _COUNTS}
+    right = sum(round((s["candidate_success_rate"] or 0.0) * s["num_pairs"]) for s in found)
+    num_pairs = counts["num_pairs"]
+    negatives = [report["negatives"] for report in reports if report["negatives"]]
+    return {
+        **counts,
+        "success_rate": counts["num_correct_accepted"] / num_pairs if num_pairs else None,
+        "candidate_success_rate": right / num_pairs if num_pairs else None,
+        "num_negatives": sum(section["num_pairs"] for section in negatives),
+        "num_false_accepted_negatives": sum(section["num_false_accepted"] for section in negatives),
     }
 
 

@@ -37,7 +37,7 @@ class Pair:
     """Two scans by their paths in the dataset. T_target_source (4, 4) [m] is None for a negative: no pose exists.
 
     overlap: the smaller direction's share in [0, 1]; distance_m: between the sensors; reliability of the reference:
-    high, medium or low ("" where the set does not say).
+    high, medium or low ("" where the set does not say); name: of files that belong to the pair, without suffix.
     """
 
     source: str
@@ -46,6 +46,12 @@ class Pair:
     overlap: float | None = None
     distance_m: float | None = None
     reliability: str = ""
+    name: str = ""
+
+    @property
+    def file_name(self) -> str:
+        """Name of files that belong to the pair: `name`, else the stems of source and target."""
+        return self.name or f"{Path(self.source).stem}_{Path(self.target).stem}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +74,10 @@ class CandidatePair:
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """What `dataset.json` says. sensor_origin: (3,) [m] in every scan's frame; min_range_m, max_range_m [m]."""
+    """What `dataset.json` says. sensor_origin: (3,) [m] in every scan's frame; min_range_m, max_range_m [m].
+
+    correspondences: folder of .npz files, one a pair by its file name, that take the place of FPFH; None: FPFH.
+    """
 
     root: Path
     name: str
@@ -81,6 +90,7 @@ class Dataset:
     pairs: list[Pair] = field(default_factory=list)
     negatives: list[Pair] = field(default_factory=list)
     candidates: list[CandidatePair] = field(default_factory=list)
+    correspondences: Path | None = None
 
     def read_scan(self, relative: str) -> Scan:
         """Read one scan by its path in the dataset, seen from the dataset's sensor origin."""

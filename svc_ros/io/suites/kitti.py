@@ -1,0 +1,109 @@
+"""KITTI odometry, sequences 08 to 10: pairs of scans about 10 m apart, as FCGF and Predator evaluate.
+
+Layout: `sequences/08/velodyne/000000.bin`, `sequences/08/calib.txt`, `sequences/08/times.txt`, `poses/08.txt`, in the
+folder or in its `dataset/`. The reference is the drive's poses, refined by ICP when a pair is first used.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from svc_ros.core.errors import InputError
+from svc_ros.core.scan import Array
+from svc_ros.core.se3 import check_pose, invert, make_pose, nearest_pose
+from svc_ros.io.datasets import SuccessThresholds
+from svc_ros.io.pose_text import parse_numbers
+from svc_ros.io.suites.spacing import pair_by_distance
+from svc_ros.io.suites.suite import Criterion, Suite, SuitePair
+from svc_ros.io.trajectories import read_kitti as read_poses
+
+SEQUENCES = ("08", "09", "10")
+LEFT_OUT = {("08", 15, 58)}  # its reference is known to be wrong; every evaluation leaves it out
+CRITERIA = (
+    Criterion("5 deg, 0.6 m", rotation_deg=5.0, translation_m=0.6),
+    Criterion("5 deg, 2 m", rotation_deg=5.0, translation_m=2.0),
+)
+_LAYOUT = "sequences/08/velodyne/*.bin, sequences/08/calib.txt and poses/08.txt (also 09, 10)"
+
+
+def read_kitti(root: Path) -> Suite:
+    """Pairs of those of the sequences 08, 09, 10 that are there: 555 where all are. Raises InputError."""
+    base = next((folder for folder in (root, root / "dataset") if (folder / "sequences").is_dir()), None)
+    present = [] if base is None else [name for name in SEQUENCES if (base / "sequences" / name / "velodyne").is_dir()]
+    if base is None or not present:
+        raise InputError(f"{root}: expected {_LAYOUT}, found none of the sequences")
+    pairs = [pair for name in present for pair in _pairs_of(root, base, name)]
+    return Suite(
+        root=root,
+        name="KITTI odometry, 10 m",
+        sensor="Velodyne HDL-64E",
+        preset="lidar_outdoor",
+        min_range_m=3.0,
+        max_range_m=80.0,
+        sensor_origin=np.zeros(3),
+        success=SuccessThresholds(5.0, 0.6),
+        pairs=list(pairs),
+        criteria=CRITERIA,
+        refined=root / "icp",
+    )
+
+
+def _pairs_of(root: Path, base: Path, sequence: str) -> list[SuitePair]:
+    folder = base / "sequences" / sequence
+    scans = {int(path.stem): path for path in sorted(folder.glob("velodyne/*.bin")) if path.stem.isdecimal()}
+    if not scans:
+        raise InputError(f"{folder / 'velodyne'}: expected scans such as 000000.bin, found none")
+    world_camera = read_poses(base / "poses" / f"{sequence}.txt")
+    _check_times(folder / "times.txt", len(world_camera))
+    last = max(scans)
+    if last >= len(world_camera):
+        raise InputError(
+            f"{scans[last]}: expected a pose for each scan, found {len(world_camera)} poses in poses/{sequence}.txt"
+        )
+    T_camera_velodyne = read_calibration(folder / "calib.txt")
+    frames = sorted(scans)
+    positions = world_camera[frames, :3, 3]
+    world_velodyne = world_camera @ T_camera_velodyne
+    chosen = [(frames[a], frames[b]) for a, b in pair_by_distance(positions)]
+    return [
+        SuitePair(
+            source=str(scans[a].relative_to(root)),
+            target=str(scans[b].relative_to(root)),
+            T_target_source=nearest_pose(invert(world_velodyne[b]) @ world_velodyne[a]),
+            distance_m=float(np.linalg.norm(world_velodyne[a, :3, 3] - world_velodyne[b, :3, 3])),
+            name=f"{int(sequence)}_{a}_{b}",
+            group=sequence,
+            indices=(b, a),
+        )
+        for a, b in chosen
+        if (sequence, a, b) not in LEFT_OUT
+    ]
+
+
+def read_calibration(path: Path) -> Array:
+    """T_camera_velodyne (4, 4) [m] of a calib.txt: its line `Tr:`. Raises InputError."""
+    try:
+        lines = path.read_text("utf-8").splitlines()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    for number, line in enumerate(lines, 1):
+        key, _, rest = line.partition(":")
+        if key.strip() in ("Tr", "Tr_velo_to_cam"):
+            place = f"{path}:{number}"
+            values = parse_numbers(rest.split(), place)
+            if len(values) != 12:
+                raise InputError(f"{place}: expected the 12 numbers of a 3x4 matrix, found {len(values)}")
+            matrix = values.reshape(3, 4)
+            return nearest_pose(check_pose(make_pose(matrix[:, :3], matrix[:, 3]), place))
+    raise InputError(f"{path}: expected a line 'Tr:' (velodyne to camera), found none")
+
+
+def _check_times(path: Path, num_poses: int) -> None:
+    """A times.txt of another drive would go unnoticed otherwise; where there is none, nothing depends on it."""
+    if not path.is_file():
+        return
+    num_times = len(path.read_text("utf-8").split())
+    if num_times != num_poses:
+        raise InputError(f"{path}: expected a time for each of the {num_poses} poses, found {num_times}")
