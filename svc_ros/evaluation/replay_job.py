@@ -8,13 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import svc_ros
 from svc_ros.core.config import Config, unknown_name
 from svc_ros.core.errors import InputError
 
 MODES = ("pair", "scan_matching", "loop_closure")
 
+DECISIONS, RESULTS, TRAJECTORY, GRAPH = "decisions.jsonl", "results.mcap", "trajectory_tum.txt", "loops.g2o"
+CONFIG, SUMMARY, REPORT = "config.yaml", "summary.json", "report.html"
 _CHOSEN = (
-    "mode", "topic", "start_s", "duration_s", "stride", "sensor_frame", "odometry_frame", "reference_frame", "with_input"
+    "mode", "start_s", "duration_s", "stride", "sensor_frame", "odometry_frame", "reference_frame",
+    "with_input",
 )  # fmt: skip
 
 Progress = Callable[[int, int], None]  # (clouds done, clouds expected); the second is exact once both are the same
@@ -66,7 +70,8 @@ class ReplayJob:
         """What decisions depend on besides the configuration: only a run with the same one may be continued."""
         chosen = {name: getattr(self, name) for name in _CHOSEN}
         reference = None if self.reference is None else hashlib.sha256(self.reference.read_bytes()).hexdigest()
-        return {"bag": self.bag.name, "bag_bytes": _num_bytes(self.bag), **chosen, "reference_sha256": reference}
+        bag = {"version": svc_ros.__version__, "bag": self.bag.name, "bag_bytes": _num_bytes(self.bag)}
+        return {**bag, **chosen, "reference_sha256": reference}
 
 
 def _num_bytes(path: Path) -> int:

@@ -17,8 +17,9 @@ from scipy.spatial.transform import Rotation
 
 from svc_ros.core.errors import InputError, MissingDependencyError, SvcError
 from svc_ros.core.se3 import Array, make_pose
-from svc_ros.io.bag_writers import CloudBagWriter, ResultWriter
+from svc_ros.io.bag_writers import CloudBagWriter
 from svc_ros.io.point_cloud2 import CloudReading, scan_from_cloud
+from svc_ros.io.result_writer import ResultWriter
 from svc_ros.io.stamps import ns_from_stamp
 from svc_ros.io.transforms import TransformTree
 
@@ -172,8 +173,7 @@ class Bag:
         frame are refused with the cause, all others work.
         """
         tree = TransformTree(max_gap_ns)
-        names = [info.name for info in self.topics if info.name.lstrip("/") in _TF_TOPICS]
-        for topic, _, message in self._messages(names, _TF_TYPES):
+        for topic, _, message in self.transform_messages():
             for stamped in message.transforms:
                 parent, child = str(stamped.header.frame_id), str(stamped.child_frame_id)
                 stamp_ns = ns_from_stamp(stamped.header.stamp)
@@ -183,6 +183,18 @@ class Bag:
                 except InputError as error:
                     tree.mark_faulty(child, f"{self._name}: {topic}: {parent} -> {child}: {error}")
         return tree
+
+    def transform_messages(self) -> Iterator[tuple[str, int, Any]]:
+        """Yield (topic, time [ns] at which it was recorded, TFMessage) of /tf and /tf_static."""
+        names = [info.name for info in self.topics if info.name.lstrip("/") in _TF_TOPICS]
+        yield from self._messages(names, _TF_TYPES)
+
+    def serialised(self) -> Iterator[tuple[TopicInfo, int, bytes | memoryview]]:
+        """Yield every message as it was recorded: its topic, the time [ns] at which it was, and its bytes."""
+        reader, topics = self._open_reader(), {info.name: info for info in self.topics}
+        with self._errors_named():
+            for connection, bag_time_ns, raw in reader.messages():
+                yield topics[connection.topic], bag_time_ns, raw
 
     def _messages(
         self, topics: list[str], types: tuple[str, ...], span_ns: tuple[int, int] | None = None

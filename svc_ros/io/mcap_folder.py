@@ -6,28 +6,34 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from svc_ros.core.errors import MissingDependencyError
 from svc_ros.core.se3 import Array
+from svc_ros.io.point_cloud2 import cloud_layout
 from svc_ros.io.stamps import seconds_and_rest
 
 TRANSFORM_TYPE = "geometry_msgs/msg/TransformStamped"
+CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
 POSE_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 
 class McapFolder:
     """A ROS 2 bag folder being written, with the message types of Jazzy."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, compress: bool = False) -> None:
         try:
-            from rosbags.rosbag2 import StoragePlugin, Writer
+            from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
             from rosbags.typesys import Stores, get_typestore
         except ImportError:
             raise MissingDependencyError("writing bags needs rosbags: pip install 'rosbags>=0.11'") from None
         self.store = get_typestore(Stores.ROS2_JAZZY)
         self.connections: dict[str, Any] = {}
         self._writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
+        if compress:  # chunk by chunk, which every reader of the format undoes by itself
+            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         self._writer.open()
 
     def add_topic(self, topic: str, msgtype: str, latched: bool = False) -> None:
@@ -40,7 +46,11 @@ class McapFolder:
     def write(self, topic: str, stamp_ns: int, message: Any) -> None:
         """Write a message of a declared topic."""
         connection = self.connections[topic]
-        self._writer.write(connection, stamp_ns, self.store.serialize_cdr(message, connection.msgtype))
+        self.write_bytes(topic, stamp_ns, self.store.serialize_cdr(message, connection.msgtype))
+
+    def write_bytes(self, topic: str, stamp_ns: int, data: bytes | memoryview) -> None:
+        """Write a message of a declared topic as it was recorded."""
+        self._writer.write(self.connections[topic], stamp_ns, data)
 
     def close(self) -> None:
         """Write the index and metadata.yaml."""
@@ -77,6 +87,16 @@ class McapFolder:
         return self.make(
             "diagnostic_msgs/msg/DiagnosticStatus",
             level=code, name=name, message=message, hardware_id="", values=pairs,
+        )  # fmt: skip
+
+    def cloud(self, header: Any, points: ArrayLike, columns: Mapping[str, ArrayLike] | None = None) -> Any:
+        """PointCloud2 of points (N, 3) [m] and optional columns (N,), all FLOAT32."""
+        layout = cloud_layout(points, columns)
+        return self.make(
+            CLOUD_TYPE, header=header, height=layout.height, width=layout.width,
+            fields=[self.make("sensor_msgs/msg/PointField", **field._asdict()) for field in layout.fields],
+            point_step=layout.point_step, row_step=layout.row_step, is_bigendian=layout.is_bigendian,
+            is_dense=layout.is_dense, data=np.frombuffer(layout.data, np.uint8),
         )  # fmt: skip
 
     def _xyz(self, kind: str, T: Array) -> Any:

@@ -6,10 +6,10 @@ Here: the mode `pair`, which registers scans to earlier ones and keeps nothing e
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator, Sequence
 
 from svc_ros.core.config import Config
-from svc_ros.core.errors import InputError, TransformUnavailableError
+from svc_ros.core.errors import InputError
 from svc_ros.core.registration import extract_features
 from svc_ros.core.result import RegistrationResult
 from svc_ros.core.scan import Features
@@ -52,9 +52,9 @@ def replay_pairs(
 
 
 def pair_steps(
-    clouds: Iterable[RecordedCloud], config: Config, stride: int = 1, num_known: int = 0
-) -> Iterator[ReplayStep]:
-    """`replay_pairs` cloud by cloud; of the first `num_known` pairs, which were decided earlier, nothing is computed.
+    clouds: Iterable[RecordedCloud], config: Config, stride: int = 1, known: Sequence[ReplayedPair] = ()
+) -> Generator[ReplayStep]:
+    """`replay_pairs` cloud by cloud. known: decisions on the first pairs from an earlier run, taken as they are.
 
     Raises InputError for a stride below 1.
     """
@@ -62,9 +62,13 @@ def pair_steps(
         raise InputError(f"replay: expected a stride of at least 1, found {stride}")
     recent: deque[_SeenScan] = deque(maxlen=stride)
     for cloud in clouds:
-        seen = _SeenScan(cloud, config)
-        is_new = len(recent) == stride and cloud.index - stride >= num_known
-        yield _step(seen, recent[0], config) if is_new else ReplayStep(cloud, time_ms={"read": cloud.read_ms})
+        seen, number = _SeenScan(cloud, config), cloud.index - stride
+        if number < 0:
+            yield ReplayStep(cloud)
+        elif number < len(known):
+            yield ReplayStep(cloud, [known[number]])
+        else:
+            yield _step(seen, recent[0], config)
         recent.append(seen)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 
 from svc_ros.core.config import Config
@@ -47,7 +47,7 @@ def replay_loop_closure(
         yield from step.decisions
 
 
-def matching_steps(clouds: Iterable[RecordedCloud], config: Config) -> Iterator[ReplayStep]:
+def matching_steps(clouds: Iterable[RecordedCloud], config: Config) -> Generator[ReplayStep]:
     """`replay_scan_matching` cloud by cloud."""
     matcher, indices = ScanMatcher(config), _Indices()
     for cloud in clouds:
@@ -65,15 +65,12 @@ def track_clouds(clouds: Iterable[RecordedCloud], odometry: Odometry) -> Iterato
         yield TrackedCloud(cloud, T_odom_scan, watch.ms())
 
 
-def loop_steps(clouds: Iterable[TrackedCloud], closer: LoopCloser) -> Iterator[ReplayStep]:
+def loop_steps(clouds: Iterable[TrackedCloud], closer: LoopCloser) -> Generator[ReplayStep]:
     """`replay_loop_closure` cloud by cloud; most clouds have no decision."""
     indices = _Indices()
     for tracked in clouds:
         watch, cloud = Stopwatch(), tracked.cloud
-        if cloud.scan is None:
-            found = [_refused(cloud, closer.config)]
-        else:
-            found = closer.add(cloud.scan, tracked.T_odom_scan)
+        found = _closed(tracked, closer)
         times = {"read": cloud.read_ms, "odometry": tracked.odometry_ms, "decide": watch.ms()}
         yield ReplayStep(cloud, indices.of(found, cloud), tracked.T_odom_scan, times)
 
@@ -98,6 +95,12 @@ def odometry_by_transforms(transforms: TransformTree, odometry_frame: str) -> Od
             return None
 
     return pose
+
+
+def _closed(tracked: TrackedCloud, closer: LoopCloser) -> list[StreamDecision]:
+    if tracked.cloud.scan is None:
+        return [_refused(tracked.cloud, closer.config)]
+    return closer.add(tracked.cloud.scan, tracked.T_odom_scan)
 
 
 class _Indices:

@@ -1,0 +1,87 @@
+"""The three modes of a replay: which steps they take, and how the way is put together from them."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass
+
+from svc_ros.core.errors import InputError, MissingDependencyError
+from svc_ros.evaluation.replay_job import ReplayJob
+from svc_ros.evaluation.replay_reference import Reference, check_evo
+from svc_ros.evaluation.replay_track import LoopTrack, PairTrack, StreamTrack, Track
+from svc_ros.io.bags import Bag
+from svc_ros.io.transforms import TransformTree, normalise_frame
+from svc_ros.pipeline.loop_closure import LoopCloser
+from svc_ros.pipeline.replay import pair_steps
+from svc_ros.pipeline.replay_ahead import ahead
+from svc_ros.pipeline.replay_clouds import BagPart, ReplayedPair, ReplayStep, read_clouds
+from svc_ros.pipeline.replay_stream import (
+    Odometry,
+    loop_steps,
+    matching_steps,
+    odometry_by_matching,
+    odometry_by_transforms,
+    track_clouds,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """What is replayed of an open bag; reference: None where none was given; num_expected: clouds, estimated where
+    only a part of the bag is wanted."""
+
+    topic: str
+    part: BagPart
+    track: Track
+    reference: Reference | None
+    num_expected: int
+    closer: LoopCloser | None = None
+
+
+def open_replay(job: ReplayJob, bag: Bag, topic: str) -> Replay:
+    """Look at all inputs before anything is written. Raises InputError and MissingDependencyError."""
+    every = 1 if job.mode == "pair" else job.stride
+    part = BagPart(topic, job.start_s, job.duration_s, every, job.sensor_frame)
+    first, last = part.span_ns(bag)
+    begin, end = bag.span_ns
+    share = (last - first + 1) / (end - begin + 1)
+    if job.report and importlib.util.find_spec("plotly") is None:
+        raise MissingDependencyError("report.html needs plotly: pip install plotly, or replay with --no-report")
+    reference = None
+    if job.reference is not None:
+        check_evo()
+        reference = Reference.read(job.reference, bag, job.reference_frame)
+    closer = LoopCloser(job.config) if job.mode == "loop_closure" else None
+    track: Track = StreamTrack() if job.mode == "scan_matching" else PairTrack()
+    if closer is not None:
+        track = LoopTrack(closer)
+    num_expected = max(1, round(share * bag.num_scans(topic) / every))
+    return Replay(topic, part, track, reference, num_expected, closer)
+
+
+def steps_of(job: ReplayJob, replay: Replay, bag: Bag, known: Sequence[ReplayedPair]) -> Generator[ReplayStep]:
+    """What each cloud leads to, in order. known: the first decisions, which an earlier run made.
+
+    In `pair` they are taken as they are. The other modes go on from what they have seen, and make them again.
+    """
+    clouds = ahead(read_clouds(bag, replay.part))
+    if job.mode == "pair":
+        return pair_steps(clouds, job.config, job.stride, known)
+    if replay.closer is None:
+        return matching_steps(clouds, job.config)
+    return loop_steps(ahead(track_clouds(clouds, _odometry(job, bag))), replay.closer)
+
+
+def _odometry(job: ReplayJob, bag: Bag) -> Odometry:
+    if job.odometry_frame is None:
+        return odometry_by_matching(job.config)
+    transforms, frame = bag.transforms(), normalise_frame(job.odometry_frame)
+    _check_frame(frame, transforms)
+    return odometry_by_transforms(transforms, frame)
+
+
+def _check_frame(frame: str, transforms: TransformTree) -> None:
+    if frame not in transforms.frames:
+        known = ", ".join(transforms.frames) or "none"
+        raise InputError(f"--odometry-frame {frame}: not among the frames of the bag ({known})")

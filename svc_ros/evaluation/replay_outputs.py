@@ -1,0 +1,107 @@
+"""The files that a replay fills while it runs: every decision is on disk as soon as it is made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any, TextIO
+
+from svc_ros.core.errors import InputError
+from svc_ros.evaluation.replay_job import DECISIONS, RESULTS
+from svc_ros.evaluation.replay_pictures import draw
+from svc_ros.evaluation.replay_resume import Earlier
+from svc_ros.evaluation.replay_summary import Errors
+from svc_ros.evaluation.scenes import SceneKeeper
+from svc_ros.io.bags import Bag
+from svc_ros.io.mcap_folder import CLOUD_TYPE
+from svc_ros.io.result_writer import RecordedTopic, ResultWriter
+from svc_ros.io.results import json_line, result_to_json
+from svc_ros.pipeline.replay_clouds import RecordedCloud, ReplayedPair
+
+TRANSFORMS_TYPE = "tf2_msgs/msg/TFMessage"
+
+
+class DecisionFiles:
+    """decisions.jsonl and results.mcap, and the scenes for the report.
+
+    What an earlier run has written comes first, and is not written again when its decisions come by.
+    results.mcap appears when this is closed, also after an error, and replaces that of the earlier run.
+    """
+
+    def __init__(self, folder: Path, odometry_frame: str, earlier: Earlier) -> None:
+        self._odometry_frame = odometry_frame
+        self._num_written, self._num_clouds = len(earlier.records), earlier.num_clouds
+        self._num_seen = 0
+        self.scenes = SceneKeeper()
+        with ExitStack() as opened:
+            self._lines = opened.enter_context(_open_lines(folder / DECISIONS))
+            self._results = opened.enter_context(ResultWriter(folder / RESULTS))
+            for record in earlier.records:
+                self._lines.write(json_line(record) + "\n")
+            for message in earlier.messages():
+                self._results.write_recorded(*message)
+            self._opened = opened.pop_all()
+
+    def write(self, decision: ReplayedPair, record: Mapping[str, Any]) -> None:
+        """Take the next decision; record: its line."""
+        number, self._num_seen = self._num_seen, self._num_seen + 1
+        if decision.scans is not None:
+            self.scenes.offer(number, *decision.scans, decision.result)
+        if number < self._num_written:
+            return
+        self._lines.write(json_line(record) + "\n")
+        stamps = decision.source_stamp_ns, decision.target_stamp_ns
+        frames = decision.source_frame, decision.target_frame
+        self._results.write(decision.result, *stamps, *frames, origin=decision.origin)
+        picture = draw(decision, self._odometry_frame)
+        if picture is not None:
+            self._results.write_picture(picture, decision.source_stamp_ns)
+
+    def write_cloud(self, topic: str, cloud: RecordedCloud) -> None:
+        """Copy the cloud itself."""
+        if cloud.index >= self._num_clouds:
+            self._results.write_recorded(RecordedTopic(topic, CLOUD_TYPE), cloud.bag_time_ns, cloud.message)
+
+    def write_transforms(self, bag: Bag, span_ns: tuple[int, int]) -> None:
+        """Copy /tf of that time and all of /tf_static."""
+        if self._num_written:
+            return
+        for topic, time_ns, message in bag.transform_messages():
+            is_static = topic.lstrip("/") == "tf_static"
+            if is_static or span_ns[0] <= time_ns <= span_ns[1]:
+                self._results.write_recorded(RecordedTopic(topic, TRANSFORMS_TYPE, is_static), time_ns, message)
+
+    def __enter__(self) -> DecisionFiles:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._opened.close()
+
+
+def _open_lines(path: Path) -> TextIO:
+    try:
+        return path.open("w", encoding="utf-8", buffering=1)  # a line is on disk as soon as it is written
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def record_of(decision: ReplayedPair, with_reference: bool, errors: Errors | None) -> dict[str, Any]:
+    """The line of decisions.jsonl; the errors are null where there is no reference for this decision."""
+    extra: dict[str, Any] = {
+        "source_stamp_ns": decision.source_stamp_ns,
+        "target_stamp_ns": decision.target_stamp_ns,
+        "source_index": decision.source_index,
+        "target_index": decision.target_index,
+        "source_frame": decision.source_frame,
+        "target_frame": decision.target_frame,
+        "origin": decision.origin,
+        "T_odom_source": decision.T_odom_source,
+    }
+    if with_reference:
+        rotation, translation = errors or (None, None)
+        extra |= {"rotation_error_deg": rotation, "translation_error_m": translation}
+    return result_to_json(decision.result, **extra)
