@@ -15,6 +15,7 @@ from svc_ros.cli.register import register
 from svc_ros.cli.replay import replay
 from svc_ros.cli.simulate import simulate
 from svc_ros.cli.verify import verify
+from svc_ros.cli.view import view
 from svc_ros.core.errors import InputError
 
 app = typer.Typer(
@@ -48,7 +49,7 @@ def start(ctx: typer.Context, version: VersionOption = False) -> None:
         raise InputError("expected a command, found none (see above)")
 
 
-for command in (register, verify, evaluate, replay, simulate, config, doctor):
+for command in (register, verify, view, evaluate, replay, simulate, config, doctor):
     app.command(command.__name__)(command)
 
 

@@ -133,7 +133,7 @@ def _rounded(value: float | None, digits: int) -> float | None:
     return None if value is None else round(float(value), digits)
 
 
-def worst_decisions(records: Sequence[Record], num_each: int = 8) -> list[tuple[int, str]]:
+def worst_decisions(records: Sequence[Record], num_each: int = 6) -> list[tuple[int, str]]:
     """Lines of decisions that deserve a look, each with why; the most alarming first, none twice."""
     judged = [k for k, record in enumerate(records) if record.get("probability") is not None]
     accepted = [k for k in judged if verdict_of(records[k]) is Verdict.ACCEPTED]
@@ -144,7 +144,7 @@ def worst_decisions(records: Sequence[Record], num_each: int = 8) -> list[tuple[
     kinds = [
         ("accepted, farthest from the reference", with_error, lambda k: -records[k]["translation_error_m"]),
         ("accepted, least sure", accepted, lambda k: records[k]["probability"]),
-        ("not accepted, nearest to it", others, lambda k: -records[k]["probability"]),
+        ("not accepted, nearest to acceptance", others, lambda k: -records[k]["probability"]),
         ("not accepted, most blocked", others, lambda k: -(blocked_of(records[k]) or 0.0)),
         ("could not be registered", failed, lambda k: k),
     ]

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from svc_ros.core import se3
 from svc_ros.core.config import Config
-from svc_ros.core.decision import measure_margins
+from svc_ros.core.decision import decide
 from svc_ros.core.decision_config import DecisionConfig
 from svc_ros.core.errors import TransformUnavailableError
 from svc_ros.core.evidence import SightLines, SightViewEvidence
 from svc_ros.core.result import Verdict
-from svc_ros.core.scan import Array
+from svc_ros.core.scan import Array, IndexArray
 from svc_ros.evaluation.links import Link, join_scans
 from svc_ros.evaluation.metrics import percentile
 from svc_ros.evaluation.report_data import Record, Run, verdict_of
@@ -28,8 +28,9 @@ _LINES = 10_000  # of the made-up evidence that finds the border: its resolution
 def decision_border(config: Config) -> dict[str, Any] | None:
     """Where blocked share and overlap alone decide; None for methods that decide otherwise.
 
-    min_overlap: less is never accepted; overlap (K,), outer (K,): more blocked than this is never accepted, whatever
-    else the evidence says; inner (K,): less is never rejected for it. In between the other evidence decides.
+    min_overlap: less is never accepted; outer (K,) at overlap (K,): more blocked than this is never accepted, however
+    good all else is; inner (K,): less is never rejected for it, however bad contact and scatter are. In between the
+    other evidence decides. Both are found by asking the decision itself.
     """
     if config.method != "svc":
         return None
@@ -38,28 +39,36 @@ def decision_border(config: Config) -> dict[str, Any] | None:
     return {
         "min_overlap": limits.min_oriented_overlap,
         "overlap": overlap.round(4).tolist(),
-        "outer": [round(_most_blocked(float(x), limits), 5) for x in overlap],
-        "inner": (limits.max_blocked_per_overlap * overlap).round(5).tolist(),
+        "outer": [_last_blocked(_accepted_at_best, x, limits) for x in overlap.tolist()],
+        "inner": [_last_blocked(_not_rejected_at_worst, x, limits) for x in overlap.tolist()],
     }
 
 
-def _most_blocked(overlap: float, limits: DecisionConfig) -> float:
-    """The largest blocked share that is still accepted at that overlap, everything else being as good as can be."""
+def _last_blocked(holds: Callable[[float, int, DecisionConfig], bool], overlap: float, limits: DecisionConfig) -> float:
+    """The largest blocked share up to which `holds` is true."""
     low, high = 0, _LINES
     while high - low > 1:
         middle = (low + high) // 2
-        if _margin(overlap, middle, limits) > 0:
-            low = middle
-        else:
-            high = middle
+        low, high = (middle, high) if holds(overlap, middle, limits) else (low, middle)
     return low / _LINES
 
 
-def _margin(overlap: float, num_blocked: int, limits: DecisionConfig) -> float:
-    idx = np.zeros(num_blocked, np.int64)
-    blocked = SightLines(_LINES, _LINES, idx, idx, num_scattered=0)
-    clear = SightLines(_LINES, _LINES, idx[:0], idx[:0])
-    return measure_margins(SightViewEvidence(blocked, clear, 1.0, overlap, 0.0), limits).smallest
+def _accepted_at_best(overlap: float, num_blocked: int, limits: DecisionConfig) -> bool:
+    """Blocked by one moving object, among much surface that the other scan lacks, all else in full agreement."""
+    blocked = SightLines(_LINES, _LINES, _idx(num_blocked), _idx(num_blocked), num_scattered=0)
+    evidence = SightViewEvidence(blocked, SightLines(_LINES, _LINES, _idx(0), _idx(0)), 1.0, overlap, 0.0)
+    return decide(evidence, limits).verdict is Verdict.ACCEPTED
+
+
+def _not_rejected_at_worst(overlap: float, num_blocked: int, limits: DecisionConfig) -> bool:
+    """Blocked on all sides, every line that can be, and the surfaces in loose contact."""
+    blocked = SightLines(_LINES, num_blocked, _idx(num_blocked), _idx(num_blocked))
+    evidence = SightViewEvidence(blocked, blocked, 1.0, overlap, 0.0, tight_ratio=0.0)
+    return decide(evidence, limits).verdict is not Verdict.REJECTED
+
+
+def _idx(num: int) -> IndexArray:
+    return np.zeros(num, np.int64)
 
 
 def stage_times(records: Sequence[Record]) -> dict[str, Any]:

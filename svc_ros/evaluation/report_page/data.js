@@ -3,6 +3,8 @@ const data = JSON.parse(document.getElementById("report-data").textContent);
 const VERDICTS = ["accepted", "rejected", "undecided", "dropped"];
 const packed = new Map(data.scenes.map((scene) => [scene.index, scene]));
 
+const totalDecisions = () => VERDICTS.reduce((sum, verdict) => sum + data.counts[verdict], 0);
+
 function unpack(text, step) {
   const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
   const view = new DataView(bytes.buffer);

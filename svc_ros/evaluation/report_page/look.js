@@ -31,7 +31,7 @@ function twoColumns(rows) {
   const table = make("table", "pairs");
   for (const [name, value] of rows) {
     const row = make("tr");
-    row.append(make("th", "", name, { scope: "row" }), make("td", "", String(value)));
+    row.append(make("th", "", name, { scope: "row" }), make("td", /^[-\d.]/.test(String(value)) ? "num" : "", String(value)));
     table.append(row);
   }
   return table;
@@ -47,7 +47,7 @@ function say(text) {
 
 const FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, "Liberation Sans", sans-serif';
 const coarse = matchMedia("(pointer: coarse)");
-const PLOT_CONFIG = { displaylogo: false, responsive: true, modeBarButtonsToRemove: ["select2d", "lasso2d"], displayModeBar: coarse.matches ? false : "hover" };
+const PLOT_CONFIG = { displayModeBar: false, responsive: true };
 
 function axis(title, more = {}) {
   return {
@@ -61,6 +61,6 @@ function layout(more = {}) {
     paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { family: FONT, size: 13, color: css("ink") },
     margin: { l: 48, r: 12, t: 8, b: 40 }, showlegend: false, hovermode: "closest", dragmode: coarse.matches ? false : "zoom",
     hoverlabel: { bgcolor: css("card"), bordercolor: css("line"), font: { family: FONT, size: 13, color: css("ink") }, align: "left" },
-    modebar: { bgcolor: "rgba(0,0,0,0)", color: css("soft"), activecolor: css("accent") }, ...more,
+    ...more,
   };
 }

@@ -61,7 +61,7 @@ function drawAll() {
 }
 
 function fillTiles() {
-  const total = VERDICTS.reduce((sum, verdict) => sum + data.counts[verdict], 0);
+  const total = totalDecisions();
   const tile = (name, number, more) => {
     const item = make("li", "tile");
     const label = make("span", "name");
@@ -99,7 +99,8 @@ function start() {
   document.body.classList.add(data.kind);
   byId("title").textContent = data.title;
   byId("version").textContent = data.version;
-  byId("foot").textContent = `Written by svc_ros ${data.version}. The page needs no network; scenes are thinned copies, coordinates rounded to 16 bits.`;
+  if (data.kind === "view") byId("pairs-title").textContent = "The pair in 3D";
+  byId("foot").textContent = `Written by svc_ros ${data.version}. The page needs no network; scenes are thinned copies, coordinates rounded to 16 bits. In a plot, drag to zoom and double-click to see all.`;
   byId("notes").hidden = !data.notes.length;
   byId("notes").append(...data.notes.map((text) => make("li", "", text)));
   setUpTheme();

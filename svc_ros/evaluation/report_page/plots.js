@@ -30,7 +30,7 @@ function verdictTraces(rows, x, y) {
         line: { width: verdict === "dropped" ? 1.5 : 0, color: colour } },
     });
   }
-  const kept = rows.filter((row) => row.kept);
+  const kept = data.scenes.length < totalDecisions() ? rows.filter((row) => row.kept) : [];
   traces.push({
     type: "scatter", mode: "markers", name: "in 3D", hoverinfo: "skip", x: kept.map(x), y: kept.map(y),
     marker: { symbol: "circle-open", size: 14, color: css("soft"), line: { width: 1 }, opacity: 0.7 },
@@ -77,11 +77,11 @@ function drawTimeline() {
     margin: { l: 56, r: 12, t: 4, b: 40 },
   }));
   const drawn = rows.length;
-  const total = VERDICTS.reduce((sum, verdict) => sum + data.counts[verdict], 0);
+  const total = totalDecisions();
   const thinned = drawn < total;
   byId("timeline-note").textContent =
     `${whole(drawn)} of ${whole(total)} decisions drawn${thinned ? ", in all plots alike: those not accepted have the first claim, the others are chosen evenly" : ""}; ` +
-    `${whole(data.scenes.length)} of ${whole(total)} kept for 3D. The strip on top shows the order of verdicts.`;
+    `${data.scenes.length < total ? `${whole(data.scenes.length)} of ${whole(total)} kept for 3D, those with a ring` : "all of them kept for 3D"}. The strip on top shows the order of verdicts.`;
   describe("timeline", `Verdicts over time: ${VERDICTS.map((v) => `${data.counts[v]} ${v}`).join(", ")}.`);
 }
 
@@ -91,13 +91,13 @@ function drawEvidence() {
   const border = data.border;
   const traces = [];
   const most = Math.max(0.5, ...rows.map(y)) * 1.25;
+  const outer = border ? border.outer.map((value) => Math.max(value, FLOOR)) : [];
   if (border) {
     const area = (line, upper, colour) => traces.push({
       type: "scatter", mode: "lines", hoverinfo: "skip", line: { width: 0 }, fill: "toself", fillcolor: css(colour),
       x: [...border.overlap, ...[...border.overlap].reverse()], y: [...line, ...[...upper].reverse()],
     });
     const flat = (value) => border.overlap.map(() => value);
-    const outer = border.outer.map((value) => Math.max(value, FLOOR));
     area(outer, flat(most), "tint-no");
     area(border.inner, outer.map((value, k) => Math.max(value, border.inner[k])), "tint-maybe");
     area(flat(FLOOR * 0.8), border.inner, "tint-yes");
@@ -106,19 +106,20 @@ function drawEvidence() {
     line(outer, "solid");
     line(border.inner, "dash");
   }
+  const narrow = byId("evidence").clientWidth < 420; // a phone: there the note below the plot has to do
   const label = (x, y, text, more = {}) => ({ x, y: Math.log10(y), text, showarrow: false, font: { size: 12, color: css("soft") }, xanchor: "right", ...more });
   draw("evidence", traces.concat(verdictTraces(rows, (row) => row.overlap, y)), layout({
     xaxis: axis("oriented overlap", { range: [0, 1.02] }),
     yaxis: axis("blocked share of the sight lines", { type: "log", range: [Math.log10(FLOOR * 0.8), Math.log10(most)], tickvals: [0.0003, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1], ticktext: ["≤ 0.0003", "0.001", "0.003", "0.01", "0.03", "0.1", "0.3", "1"] }),
-    annotations: border ? [
-      label(0.99, most * 0.8, "never accepted"), label(0.99, 0.133, "other evidence decides"), label(0.99, 0.055, "never rejected for it"),
+    annotations: border && !narrow ? [
+      label(0.99, most * 0.8, "never accepted"), label(0.99, Math.sqrt(outer.at(-1) * border.inner.at(-1)), "other evidence decides"), label(0.99, border.inner.at(-1) * 0.45, "never rejected for it"),
       label(border.min_overlap / 2, 0.012, "too little overlap", { textangle: -90, xanchor: "center" }),
     ] : [],
     margin: { l: 64, r: 12, t: 8, b: 44 },
   }));
   byId("evidence-hint").textContent = "Surface in the way of sight lines speaks against a pose, surface seen alike by both scans for it.";
   byId("evidence-note").textContent = `${whole(rows.length)} judged decisions drawn. ` + (border
-    ? "Above the solid line nothing makes a pose good; below the dashed line blocked lines alone never reject it; in between contact, scatter and free space decide."
+    ? "Above the solid line nothing makes a pose good; below the dashed line blocked lines never reject it; in between contact, scatter and the like decide."
     : "No border is drawn: the method of this run decides by another rule.");
   describe("evidence", `Blocked share against oriented overlap of ${rows.length} judged decisions.`);
 }

@@ -9,7 +9,7 @@ function fillFacts() {
   if (data.kind === "report") facts.append(make("h3", "", `Decision ${chosenIndex}`));
   facts.append(verdictBadge(record.verdict), make("p", "words", `${reason.meaning}.`), make("p", "code", `${record.reason}: ${record.detail || "no detail"}`));
   if (record.verdict !== "accepted" && reason.advice) facts.append(make("p", "advice", `What to do: ${reason.advice}.`));
-  const rows = [["Probability that the pose is right", share(record.probability)]];
+  const rows = [["Probability of a right pose", share(record.probability)]];
   const told = (name, key, digits = 4) => { if (key in evidence) rows.push([name, share(evidence[key], digits)]); };
   told("Oriented overlap", "oriented_overlap_ratio", 3);
   told("Blocked, target's sight lines", "blocked_ratio_source_in_target");

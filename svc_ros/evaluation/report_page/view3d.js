@@ -7,7 +7,7 @@ const LAYERS = [
 ];
 const CAMERAS = { behind: [-0.62, -0.78, 0.62], above: [0, -0.02, 1.3], side: [0, -1.25, 0.12] };
 const hidden = new Set();
-let chosenIndex = data.scenes.length ? data.scenes[0].index : -1;
+let chosenIndex = (data.scenes.find((scene) => data.told[scene.index].verdict === "rejected") || data.scenes[0] || { index: -1 }).index;
 let camera = "behind";
 let shown = null; // the scene that is drawn, unpacked
 
@@ -19,7 +19,7 @@ function cloudTrace(side, name, layer) {
   return {
     type: "scatter3d", mode: "markers", name, hoverinfo: "skip", visible: !hidden.has(layer),
     x: every3(side.points, 0), y: every3(side.points, 1), z,
-    marker: { size: 1.7, color: z, cmin: sorted[Math.floor(0.05 * sorted.length)], cmax: sorted[Math.floor(0.95 * sorted.length)],
+    marker: { size: 1.2, color: z, cmin: sorted[Math.floor(0.05 * sorted.length)], cmax: sorted[Math.floor(0.95 * sorted.length)],
       colorscale: [[0, css(`${layer}-low`)], [1, css(layer)]], showscale: false },
   };
 }
@@ -93,9 +93,9 @@ function traces3d(scene, size) {
     { type: "scatter3d", mode: "lines", name: "rings", hoverinfo: "skip", x: rings.x, y: rings.y, z: rings.z, line: { color: css("ring"), width: 1 } },
     cloudTrace(scene.target, "target", "target"),
     cloudTrace(scene.source, "source", "source"),
-    lineTrace(sides, "clear", "clear", { line: { color: css("clear"), width: 1 }, opacity: 0.22 }),
-    lineTrace(sides, "blocked", "blocked", { line: { color: css("blocked"), width: 2.5 }, opacity: 0.75 }),
-    { type: "scatter3d", mode: "markers", name: "blockers", hoverinfo: "skip", visible: !hidden.has("blocked"), ...blockers, marker: { size: 3.2, color: css("blocked") } },
+    lineTrace(sides, "clear", "clear", { line: { color: css("clear"), width: 1 }, opacity: 0.28 }),
+    lineTrace(sides, "blocked", "blocked", { line: { color: css("blocked"), width: 1.5 }, opacity: 0.45 }),
+    { type: "scatter3d", mode: "markers", name: "blockers", hoverinfo: "skip", visible: !hidden.has("blocked"), ...blockers, marker: { size: 1.9, color: css("blocked") } },
     origin(scene.target, "target sensor", css("origin")),
     origin(scene.source, "source sensor", css("source")),
   ] };
@@ -108,13 +108,14 @@ function drawScene() {
   Plotly.react(byId("view3d"), traces, layout({ scene: sceneLayout(size, shown), margin: { l: 0, r: 0, t: 0, b: 0 } }),
     { displaylogo: false, responsive: true, displayModeBar: false, scrollZoom: true });
   const { target, source } = shown;
+  const lines = target.numLines + source.numLines, blocked = target.numBlocked + source.numBlocked;
   const drawn = (part, total) => `${whole((target[part].length + source[part].length) / 3)} of ${whole(total)}`;
-  const clear = target.numLines + source.numLines - target.numBlocked - source.numBlocked;
   byId("view3d-note").textContent =
-    `Drawn: ${drawn("points", target.numPoints + source.numPoints)} points, ${drawn("blocked", target.numBlocked + source.numBlocked)} blocked ` +
-    `and ${drawn("clear", clear)} clear sight lines of both sensors (diamonds). Rings ${spacing} m apart around the target's sensor.` +
+    `${lines ? `${((100 * blocked) / lines).toFixed(1)} % of all sight lines are blocked. ` : ""}` +
+    `Drawn: ${drawn("points", target.numPoints + source.numPoints)} points, ${drawn("blocked", blocked)} blocked ` +
+    `and ${drawn("clear", lines - blocked)} clear sight lines of both sensors (diamonds). Rings ${spacing} m apart around the target's sensor.` +
     `${shown.placed ? "" : " No pose was found: the source stands in its own frame."}`;
-  describe("view3d", `Decision ${shown.index}, ${shown.verdict}: ${target.numBlocked + source.numBlocked} of ${target.numLines + source.numLines} sight lines blocked.`);
+  describe("view3d", `Decision ${shown.index}, ${shown.verdict}: ${blocked} of ${lines} sight lines blocked.`);
 }
 
 function turnCamera(aroundDeg, upDeg, nearer) {
