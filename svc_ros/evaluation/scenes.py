@@ -13,10 +13,9 @@ from svc_ros.core.errors import InputError
 from svc_ros.core.evidence import SightLines
 from svc_ros.core.result import RegistrationResult
 from svc_ros.core.scan import Array, PreparedScan
-from svc_ros.evaluation.sight_lines import choose_evenly, choose_lines
+from svc_ros.evaluation.sight_lines import MAX_LINES, choose_evenly, choose_lines
 
 MAX_POINTS = 5000  # of each scan: more are not told apart on a screen
-MAX_LINES = 400  # of each kind and scan, as in RViz: more is a ball of wool
 
 Points = NDArray[np.float32]
 
@@ -88,7 +87,7 @@ def _side(
         nothing = np.zeros((0, 3), np.float32)
         return SideView(shown, origin, nothing, nothing, nothing, len(observer), 0, 0)
     _check_lines(lines, observer, other)
-    drawn = choose_lines(lines, len(observer), MAX_LINES)
+    drawn = choose_lines(lines, len(observer))
     blocker_idx = choose_evenly(np.unique(lines.blocker_idx), MAX_LINES)
     blockers = placed(se3.apply(T_observer_other, other.points[blocker_idx]))
     clear, blocked = (placed(observer.points[idx]) for idx in drawn)

@@ -9,6 +9,8 @@ import numpy as np
 from svc_ros.core.evidence import SightLines
 from svc_ros.core.scan import IndexArray
 
+MAX_LINES = 400  # of each kind and scan: more is a ball of wool, and each costs time
+
 
 class DrawnLines(NamedTuple):
     """Indices of the observer's prepared points at which the drawn lines from its sensor end.
@@ -20,7 +22,7 @@ class DrawnLines(NamedTuple):
     blocked_idx: IndexArray
 
 
-def choose_lines(lines: SightLines, num_points: int, max_lines: int) -> DrawnLines:
+def choose_lines(lines: SightLines, num_points: int, max_lines: int = MAX_LINES) -> DrawnLines:
     """At most `max_lines` of each kind, evenly chosen among the lines of a scan of `num_points` points."""
     is_clear = np.ones(num_points, bool)
     is_clear[lines.blocked_idx] = False

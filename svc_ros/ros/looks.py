@@ -16,10 +16,10 @@ from svc_ros.core.evidence import SightLines, SightViewEvidence
 from svc_ros.core.result import RegistrationResult, Verdict
 from svc_ros.core.scan import Array, PreparedScan
 from svc_ros.core.se3 import apply
+from svc_ros.evaluation.sight_lines import MAX_LINES, choose_lines
 from svc_ros.ros.conversions import cloud_message, header
 from svc_ros.ros.decision import Decision, Look
 
-MAX_LINES = 400  # of each colour and scan: more is a ball of wool, and each costs microseconds of the interpreter
 _LINE_WIDTH_M, _TEXT_HEIGHT_M = 0.02, 0.5
 _GREEN, _RED = ColorRGBA(r=0.1, g=0.8, b=0.2, a=0.35), ColorRGBA(r=0.9, g=0.1, b=0.1, a=1.0)
 _VERDICT_COLOURS = {
@@ -102,15 +102,13 @@ def verdict_marker(look: Look, result: RegistrationResult, stamp_ns: int) -> Mar
 
 def _markers(scan: PreparedScan, lines: SightLines, T_frame_scan: Array, side: str) -> Iterator[Marker]:
     """The clear and the blocked lines of one scan as two markers; a marker without lines is left out."""
-    is_clear = np.ones(len(scan), bool)
-    is_clear[lines.blocked_idx] = False
+    drawn = choose_lines(lines, len(scan), MAX_LINES)
     (origin,) = _points(apply(T_frame_scan, scan.sensor_origin[None]))
     for number, (kind, colour, chosen) in enumerate(
-        (("clear", _GREEN, np.flatnonzero(is_clear)), ("blocked", _RED, np.unique(lines.blocked_idx)))
+        (("clear", _GREEN, drawn.clear_idx), ("blocked", _RED, drawn.blocked_idx))
     ):
         if len(chosen) == 0:
             continue
-        chosen = chosen[np.linspace(0, len(chosen) - 1, min(len(chosen), MAX_LINES)).astype(np.int64)]
         ends = _points(apply(T_frame_scan, scan.points[chosen]))
         marker = Marker(ns=f"{side}_{kind}", id=number, type=Marker.LINE_LIST, action=Marker.ADD, color=colour)
         marker.scale = Vector3(x=_LINE_WIDTH_M, y=0.0, z=0.0)
