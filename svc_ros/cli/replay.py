@@ -1,42 +1,60 @@
-"""`svc_ros replay`: a bag through the registration, with every decision on disk."""
+"""`svc_ros replay`: bags through the registration, with every decision on disk."""
 
 from __future__ import annotations
 
-import signal
-from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.text import Text
 
-from svc_ros.cli.console import key_value_table, make_output_folder, note, progress, summary_console
+from svc_ros.cli.console import make_output_folder, note
 from svc_ros.cli.exit_codes import INTERRUPTED
 from svc_ros.cli.options import ConfigOption, MethodOption, PresetOption, resolve_settings
-from svc_ros.core.config import unknown_name
+from svc_ros.cli.replay_console import print_summary, replay_progress, stop_request
 from svc_ros.core.errors import InputError
 
 if TYPE_CHECKING:
-    from svc_ros.cli.reference import Reference
-    from svc_ros.pipeline.replay import ReplayedPair
+    from svc_ros.evaluation.replay_job import ReplayJob
 
-MODES = ("pair",)
-_LATER_MODES = ("scan_matching", "loop_closure")
-
-BagArgument = Annotated[Path, typer.Argument(metavar="BAG", help="ROS 1 .bag, or a ROS 2 bag: folder, .mcap or .db3.")]
+BagArgument = Annotated[
+    list[str],
+    typer.Argument(metavar="BAG...", help="ROS 1 .bag; ROS 2 folder, .mcap or .db3; or quoted patterns ('runs/*')."),
+]
 OutOption = Annotated[
-    Path, typer.Option("--out", metavar="DIR", help="Folder for decisions.jsonl, results.mcap and config.yaml.")
+    Path, typer.Option("--out", metavar="DIR", help="Folder for all outputs; with several bags one below it for each.")
 ]
 TopicOption = Annotated[str | None, typer.Option("--topic", metavar="TOPIC", help="Needed where several have clouds.")]
-ModeOption = Annotated[str, typer.Option("--mode", metavar="MODE", help="pair: scan k + stride against scan k.")]
-StrideOption = Annotated[int, typer.Option("--stride", min=1, metavar="K", help="Scans between the two of a pair.")]
+ModeOption = Annotated[
+    str,
+    typer.Option("--mode", metavar="MODE", help="pair: scan k + stride against scan k; scan_matching; loop_closure."),
+]
+StartOption = Annotated[float, typer.Option("--start", min=0.0, metavar="S", help="Seconds from the bag's begin.")]
+DurationOption = Annotated[float | None, typer.Option("--duration", metavar="S", help="Seconds from there; else all.")]
+StrideOption = Annotated[
+    int,
+    typer.Option("--stride", min=1, metavar="K", help="pair: scans between the two; else: every K-th scan is taken."),
+]
+MaxRateOption = Annotated[
+    float | None, typer.Option("--max-rate", metavar="HZ", help="Most scans a second of wall time; else all it can.")
+]
+ResumeOption = Annotated[
+    bool,
+    typer.Option(
+        "--resume",
+        help="Continue an interrupted run in DIR of the same bag, mode and configuration. Pairs are not registered "
+        "again; the other modes go through the earlier scans once more.",
+    ),
+]
+InputOption = Annotated[bool, typer.Option("--with-input", help="Copy clouds and transforms into results.mcap.")]
+ReportOption = Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")]
 SensorOption = Annotated[
     str | None,
     typer.Option("--sensor-frame", metavar="FRAME", help="Sensor's frame, where the clouds are in another one."),
+]
+OdometryOption = Annotated[
+    str | None,
+    typer.Option("--odometry-frame", metavar="FRAME", help="loop_closure: odometry by /tf, else by scan matching."),
 ]
 ReferenceOption = Annotated[
     Path | None, typer.Option("--reference", metavar="TUM", help="Reference trajectory; errors are added and shown.")
@@ -47,136 +65,81 @@ ReferenceFrameOption = Annotated[
 ]
 
 
-@dataclass
-class _Tally:
-    """What the summary tells."""
-
-    verdicts: Counter[str] = field(default_factory=Counter)
-    reasons: Counter[str] = field(default_factory=Counter)
-    accepted_errors: list[tuple[float, float]] = field(default_factory=list)
-    without_reference: int = 0
-    with_reference: bool = False
-
-    def add(self, pair: ReplayedPair, errors: tuple[float, float] | None) -> None:
-        self.verdicts[pair.result.verdict.value] += 1
-        self.reasons[pair.result.reason.value] += 1
-        if pair.result.accepted and errors is not None:
-            self.accepted_errors.append(errors)
-        elif pair.result.accepted:
-            self.without_reference += 1
-
-    def rows(self) -> dict[str, Any]:
-        rows: dict[str, Any] = {"pairs": self.verdicts.total(), **self.verdicts}
-        rows |= {f"reason {name}": count for name, count in sorted(self.reasons.items())}
-        if not self.with_reference:
-            return rows
-        rotation, translation = zip(*self.accepted_errors, strict=True) if self.accepted_errors else ((), ())
-        rows["accepted, largest rotation error [deg]"] = max(rotation, default=None)
-        rows["accepted, largest translation error [m]"] = max(translation, default=None)
-        rows["accepted, without a reference"] = self.without_reference
-        return rows
-
-
 def replay(
-    bag_path: BagArgument,
+    bags: BagArgument,
     out: OutOption,
     topic: TopicOption = None,
     mode: ModeOption = "pair",
+    start: StartOption = 0.0,
+    duration: DurationOption = None,
     stride: StrideOption = 1,
+    max_rate: MaxRateOption = None,
+    resume: ResumeOption = False,
     preset: PresetOption = None,
     method: MethodOption = None,
     config_file: ConfigOption = None,
     sensor_frame: SensorOption = None,
+    odometry_frame: OdometryOption = None,
     reference: ReferenceOption = None,
     reference_frame: ReferenceFrameOption = None,
+    with_input: InputOption = False,
+    report: ReportOption = True,
 ) -> None:
-    """Register the scans of a bag pair by pair, as the node would. Ctrl-C ends it after the pair at hand."""
-    _check_mode(mode)
-    settings = resolve_settings(preset, method, config_file)
-    from svc_ros.cli.reference import Reference
-    from svc_ros.io.bags import Bag
-    from svc_ros.io.config_yaml import config_to_yaml
-    from svc_ros.pipeline.replay import replay_pairs
+    """Decide on the scans of bags, as the node would, as fast as the machine allows.
 
-    with Bag(bag_path) as bag:
-        chosen = bag.resolve_cloud_topic(topic)
-        truth = None if reference is None else Reference.read(reference, bag, reference_frame)
-        make_output_folder(out)
-        (out / "config.yaml").write_text(config_to_yaml(settings.config, settings.preset), encoding="utf-8")
-        pairs = replay_pairs(bag, chosen, settings.config, stride, sensor_frame)
-        tally, interrupted = _write_decisions(pairs, out, max(bag.num_scans(chosen) - stride, 0), truth)
-    title = f"{bag_path} {chosen}: method {settings.config.method}, preset {settings.preset}"
-    summary_console(None).print(Text(title, "bold"), soft_wrap=True)
-    summary_console(None).print(key_value_table("", tally.rows()))
+    DIR gets decisions.jsonl, trajectory_tum.txt, loops.g2o, results.mcap, config.yaml, summary.json, report.html.
+    Several bags: each leaves these in DIR/NAME, named like the bag, and DIR/summary.json tells of all of them; a bag
+    that cannot be read does not keep the others. Ctrl-C ends it after the scan at hand, with complete outputs.
+    """
+    from svc_ros.evaluation.replay_bags import expand_bags, jobs_of
+    from svc_ros.evaluation.replay_job import ReplayJob
+
+    paths = expand_bags(bags)
+    settings = resolve_settings(preset, method, config_file)
+    job = ReplayJob(
+        paths[0], out, settings.config, settings.preset, mode, topic, start, duration, stride, max_rate, sensor_frame,
+        odometry_frame, reference, reference_frame, with_input, resume, report,
+    )  # fmt: skip
+    interrupted = _replay_one(job) if len(paths) == 1 else _replay_several(jobs_of(paths, job), out)
     if interrupted:
-        note(f"interrupted: {out} holds the {tally.verdicts.total()} pairs decided so far")
+        note(f"interrupted: {out} holds what was decided so far; go on with --resume")
         raise typer.Exit(INTERRUPTED)
 
 
-def _check_mode(mode: str) -> None:
-    if mode in _LATER_MODES:
-        raise InputError(f"--mode {mode}: not available in this version (available: {', '.join(MODES)})")
-    if mode not in MODES:
-        raise InputError(unknown_name("--mode", mode, MODES))
+def _replay_one(job: ReplayJob) -> bool:
+    """True if it was interrupted."""
+    from svc_ros.evaluation.replay_run import replay_bag
+
+    with stop_request() as stopped, replay_progress("replaying") as on_progress:
+        summary = replay_bag(job, on_progress, stopped)
+    print_summary(f"{job.bag} {summary['topic']}: {_how(job)}", summary, job.out)
+    return bool(summary["state"] != "complete")
 
 
-def _write_decisions(
-    pairs: Iterator[ReplayedPair], out: Path, total: int, truth: Reference | None
-) -> tuple[_Tally, bool]:
-    """Write every decision to both files as soon as it is made; True if it was interrupted."""
-    from svc_ros.io.bags import ResultWriter
+def _replay_several(jobs: Sequence[ReplayJob], out: Path) -> bool:
+    """True if it was interrupted. Raises InputError at the end where a bag could not be replayed."""
+    from svc_ros.evaluation.replay_bags import write_common_summary
+    from svc_ros.evaluation.replay_run import replay_bag
 
-    tally = _Tally(with_reference=truth is not None)
-    with (
-        progress("replaying") as on_progress,
-        _stop_request() as stopped,
-        (out / "decisions.jsonl").open("w", encoding="utf-8", buffering=1) as lines,
-        ResultWriter(out / "results.mcap") as results,
-    ):
-        for pair in pairs:
-            errors = truth.errors(pair) if truth is not None else None
-            lines.write(_json_line(pair, truth is not None, errors))
-            results.write(
-                pair.result, pair.source_stamp_ns, pair.target_stamp_ns, pair.source_frame, pair.target_frame
-            )
-            tally.add(pair, errors)
-            on_progress(tally.verdicts.total(), total)
+    make_output_folder(out)
+    summaries: dict[Path, dict[str, Any]] = {}
+    errors: dict[Path, str] = {}
+    with stop_request() as stopped:
+        for number, job in enumerate(jobs, 1):
             if stopped():
-                return tally, True
-    return tally, False
+                break
+            with replay_progress(f"{number}/{len(jobs)} {job.out.name}") as on_progress:
+                try:
+                    summaries[job.out] = replay_bag(job, on_progress, stopped)
+                except InputError as error:
+                    errors[job.out] = str(error)
+    summary = write_common_summary(out, jobs, summaries, errors)
+    if summaries:
+        print_summary(f"{len(summaries)} of {len(jobs)} bags: {_how(jobs[0])}", summary, out)
+    if errors:
+        raise InputError(f"{len(errors)} of {len(jobs)} bags could not be replayed: {next(iter(errors.values()))}")
+    return bool(summary["interrupted"] or summary["num_not_begun"])
 
 
-def _json_line(pair: ReplayedPair, with_reference: bool, errors: tuple[float, float] | None) -> str:
-    from svc_ros.io.results import json_line, result_to_json
-
-    extra: dict[str, Any] = {
-        "source_stamp_ns": pair.source_stamp_ns,
-        "target_stamp_ns": pair.target_stamp_ns,
-        "source_index": pair.source_index,
-        "target_index": pair.target_index,
-        "source_frame": pair.source_frame,
-        "target_frame": pair.target_frame,
-    }
-    if with_reference:
-        rotation, translation = errors or (None, None)
-        extra |= {"rotation_error_deg": rotation, "translation_error_m": translation}
-    return json_line(result_to_json(pair.result, **extra)) + "\n"
-
-
-@contextmanager
-def _stop_request() -> Iterator[Callable[[], bool]]:
-    """Turn the first Ctrl-C (or SIGTERM) into a question that is asked between pairs; the second one acts at once."""
-    requests: list[int] = []
-
-    def ask(signum: int, _: FrameType | None) -> None:
-        requests.append(signum)
-        if len(requests) > 1:
-            raise KeyboardInterrupt
-        note("stopping after this pair (again: at once)")
-
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield lambda: bool(requests)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+def _how(job: ReplayJob) -> str:
+    return f"mode {job.mode}, method {job.config.method}, preset {job.preset}"
