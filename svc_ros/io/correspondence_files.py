@@ -29,9 +29,10 @@ def read_correspondences(path: str | Path) -> Correspondences:
     if not path.is_file():
         raise InputError(f"{path}: no such file of correspondences")
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            if not isinstance(archive, np.lib.npyio.NpzFile):
-                raise InputError(f"{path}: expected an .npz archive, found a single array")
+        loaded = np.load(path, allow_pickle=False)
+        if not isinstance(loaded, np.lib.npyio.NpzFile):
+            raise InputError(f"{path}: expected an .npz archive, found a single array")
+        with loaded as archive:
             return _from_arrays({key: archive[key] for key in archive.files if key in _known()}, archive.files, path)
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         if isinstance(error, InputError):
