@@ -56,9 +56,10 @@ def many_pairs(room: Path, times: int) -> Path:
 
 
 def test_answers_come_in_order_and_every_item_is_told_once(pair_of_workers):
-    told: list[int] = []
-    assert run_over(pair_of_workers.address, dask_processes.double, range(20), told.append) == list(range(0, 40, 2))
-    assert sorted(told) == list(range(20))
+    told: list[tuple[int, int]] = []
+    answers = run_over(pair_of_workers.address, dask_processes.double, range(20), lambda *one: told.append(one))
+    assert answers == list(range(0, 40, 2))
+    assert sorted(told) == list(enumerate(answers))
 
 
 def test_kernels_of_a_worker_use_one_thread(pair_of_workers):
@@ -119,7 +120,7 @@ def test_a_worker_lost_in_the_middle_of_an_item_loses_nothing(tmp_path):
     with dask_processes.cluster(tmp_path) as found:
         victim, told = found.workers[0], []
 
-        def kill_one(index: int) -> None:
+        def kill_one(index: int, _: object) -> None:
             told.append(index)
             if len(told) == 5:
                 os.kill(victim.pid, signal.SIGKILL)
@@ -157,7 +158,7 @@ def test_a_run_ends_when_all_workers_have_gone(tmp_path, monkeypatch):
     with dask_processes.cluster(tmp_path, 1) as found:
         (worker,) = found.workers
         with pytest.raises(SvcError, match="expected a scheduler with workers, found none"):
-            run_over(found.address, dask_processes.double_slowly, range(50), lambda _: worker.kill())
+            run_over(found.address, dask_processes.double_slowly, range(50), lambda *_: worker.kill())
 
 
 @pytest.mark.parametrize(

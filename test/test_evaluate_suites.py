@@ -119,6 +119,7 @@ def test_several_sets_have_one_report_each_and_a_total(room, rooms, tmp_path):
 
 
 def test_dask_gives_the_reports_of_the_serial_run(room, rooms, tmp_path):
+    pytest.importorskip("distributed")
     with dask_processes.cluster(tmp_path) as found:
         spread = report_of(room, room, "--scheduler", found.address)
         suite = report_of(rooms, "--suite", "3dmatch", "--method", "sc2", "--scheduler", found.address)

@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from svc_ros.cli.console import make_output_folder, note
+from svc_ros.cli.console import make_output_folder, note, progress
 from svc_ros.cli.exit_codes import INTERRUPTED
-from svc_ros.cli.options import ConfigOption, MethodOption, PresetOption, resolve_settings
+from svc_ros.cli.options import ConfigOption, MethodOption, PresetOption, SchedulerOption, resolve_settings
 from svc_ros.cli.replay_console import print_summary, replay_progress, stop_request
 from svc_ros.core.errors import InputError
 
 if TYPE_CHECKING:
     from svc_ros.evaluation.replay_job import ReplayJob
+    from svc_ros.evaluation.replay_spread import ReplayedBags
 
 BagArgument = Annotated[
     list[str],
@@ -84,6 +85,7 @@ def replay(
     reference_frame: ReferenceFrameOption = None,
     with_input: InputOption = False,
     report: ReportOption = True,
+    scheduler: SchedulerOption = None,
 ) -> None:
     """Decide on the scans of bags, as the node would, as fast as the machine allows.
 
@@ -100,7 +102,10 @@ def replay(
         paths[0], out, settings.config, settings.preset, mode, topic, start, duration, stride, max_rate, sensor_frame,
         odometry_frame, reference, reference_frame, with_input, resume, report,
     )  # fmt: skip
-    interrupted = _replay_one(job) if len(paths) == 1 else _replay_several(jobs_of(paths, job), out)
+    if len(paths) == 1 and scheduler is None:
+        interrupted = _replay_one(job)
+    else:
+        interrupted = _replay_several(jobs_of(paths, job), out, scheduler)
     if interrupted:
         note(f"interrupted: {out} holds what was decided so far; go on with --resume")
         raise typer.Exit(INTERRUPTED)
@@ -116,29 +121,43 @@ def _replay_one(job: ReplayJob) -> bool:
     return bool(summary["state"] != "complete")
 
 
-def _replay_several(jobs: Sequence[ReplayJob], out: Path) -> bool:
+def _replay_several(jobs: Sequence[ReplayJob], out: Path, scheduler: str | None) -> bool:
     """True if it was interrupted. Raises InputError at the end where a bag could not be replayed."""
     from svc_ros.evaluation.replay_bags import write_common_summary
-    from svc_ros.evaluation.replay_run import replay_bag
+    from svc_ros.evaluation.replay_spread import replay_over
 
     make_output_folder(out)
-    summaries: dict[Path, dict[str, Any]] = {}
-    errors: dict[Path, str] = {}
+    if scheduler is None:
+        done = _one_by_one(jobs)
+    else:
+        with progress(f"replaying {len(jobs)} bags") as on_progress:
+            done = replay_over(scheduler, jobs, on_progress)
+    alone = len(jobs) == 1  # its own summary stands in the folder itself
+    common = {} if alone else write_common_summary(out, jobs, done.summaries, done.errors)
+    summary: dict[str, Any] = common or next(iter(done.summaries.values()), {})
+    if done.summaries:
+        print_summary(f"{len(done.summaries)} of {len(jobs)} bags: {_how(jobs[0])}", summary, out)
+    if done.errors:
+        text = f"{len(done.errors)} of {len(jobs)} bags could not be replayed"
+        raise InputError(f"{text}: {next(iter(done.errors.values()))}")
+    return bool(done.interrupted or summary.get("interrupted") or summary.get("num_not_begun"))
+
+
+def _one_by_one(jobs: Sequence[ReplayJob]) -> ReplayedBags:
+    from svc_ros.evaluation.replay_run import replay_bag
+    from svc_ros.evaluation.replay_spread import ReplayedBags
+
+    done = ReplayedBags()
     with stop_request() as stopped:
         for number, job in enumerate(jobs, 1):
             if stopped():
                 break
             with replay_progress(f"{number}/{len(jobs)} {job.out.name}") as on_progress:
                 try:
-                    summaries[job.out] = replay_bag(job, on_progress, stopped)
+                    done.summaries[job.out] = replay_bag(job, on_progress, stopped)
                 except InputError as error:
-                    errors[job.out] = str(error)
-    summary = write_common_summary(out, jobs, summaries, errors)
-    if summaries:
-        print_summary(f"{len(summaries)} of {len(jobs)} bags: {_how(jobs[0])}", summary, out)
-    if errors:
-        raise InputError(f"{len(errors)} of {len(jobs)} bags could not be replayed: {next(iter(errors.values()))}")
-    return bool(summary["interrupted"] or summary["num_not_begun"])
+                    done.errors[job.out] = str(error)
+    return done
 
 
 def _how(job: ReplayJob) -> str:

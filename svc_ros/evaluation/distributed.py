@@ -29,14 +29,14 @@ def run_over(
     scheduler: str,
     function: Callable[[Item], Answer],
     items: Sequence[Item],
-    on_done: Callable[[int], None] | None = None,
+    on_done: Callable[[int, Answer], None] | None = None,
     paths: Sequence[Path] = (),
 ) -> list[Answer]:
     """The answers of `function` to all items, in order.
 
     scheduler: `local` (a worker process for each processor of this machine) or the address of a Dask scheduler, whose
     workers need this package in this version, one thread each, and the `paths`. Function and items are pickled; each
-    worker does one item at a time, its kernels on one thread. `on_done(index)` is told in the order in which items end.
+    worker does one item at a time, its kernels on one thread. `on_done(index, answer)` is called as items end.
 
     What a lost worker had to do is done by another one; an item that takes three workers down raises SvcError. An
     exception of an item is raised as a serial run would: that of the first one in order. Raises InputError for workers
@@ -52,7 +52,7 @@ def run_over(
 class _Run:
     """One list of items on its way."""
 
-    def __init__(self, client: Any, scheduler: str, on_done: Callable[[int], None] | None) -> None:
+    def __init__(self, client: Any, scheduler: str, on_done: Callable[[int, Any], None] | None) -> None:
         self.client, self.scheduler, self.on_done = client, scheduler, on_done
         self.failed: dict[int, BaseException] = {}
         self.last_alive = time.monotonic()
@@ -89,7 +89,7 @@ class _Run:
             self.failed[index] = error
         else:
             if self.on_done is not None:
-                self.on_done(index)
+                self.on_done(index, found[index])
 
     def _check_alive(self) -> None:
         now = time.monotonic()

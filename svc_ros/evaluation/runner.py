@@ -45,13 +45,13 @@ _CHUNK = 4  # neighbours in the list share scans, so a worker gets a few in a ro
 
 
 class Crew(Protocol):
-    """Whoever does the work: gives the answers to all items in order, and tells the index of each that is done.
+    """Whoever does the work: gives the answers to all items in order, and tells index and answer of each when it ends.
 
     An exception of an item is raised, of several that of the first in order.
     """
 
     def __call__(
-        self, function: Callable[[Item], Answer], items: Sequence[Item], on_done: Callable[[int], None], /
+        self, function: Callable[[Item], Answer], items: Sequence[Item], on_done: Callable[[int, Answer], None], /
     ) -> list[Answer]: ...
 
 
@@ -136,7 +136,7 @@ def _run_jobs(
     chunks = [chunk for of_set, given in zip(jobs, sets, strict=True) for chunk in _chunks(given, of_set, size)]
     done = 0
 
-    def count(index: int) -> None:
+    def count(index: int, _: object) -> None:
         nonlocal done
         for _ in chunks[index].jobs:
             done += 1
@@ -156,20 +156,20 @@ def _chunks(given: tuple[Dataset, Config], jobs: Sequence[Job], size: int) -> li
 
 
 def _one_by_one(
-    function: Callable[[Item], Answer], items: Sequence[Item], on_done: Callable[[int], None]
+    function: Callable[[Item], Answer], items: Sequence[Item], on_done: Callable[[int, Answer], None]
 ) -> list[Answer]:
     answers = []
     try:
         for index, item in enumerate(items):
             answers.append(function(item))
-            on_done(index)
+            on_done(index, answers[-1])
     finally:
         forget_scans()
     return answers
 
 
 def _over_processes(
-    workers: int, function: Callable[[Item], Answer], items: Sequence[Item], on_done: Callable[[int], None]
+    workers: int, function: Callable[[Item], Answer], items: Sequence[Item], on_done: Callable[[int, Answer], None]
 ) -> list[Answer]:
     # spawned, not forked: a fork would copy the locks of numba's and Open3D's threads in whatever state they are
     context = multiprocessing.get_context("spawn")
@@ -179,7 +179,7 @@ def _over_processes(
     try:
         for index, answer in enumerate(pool.map(function, items)):
             answers.append(answer)
-            on_done(index)
+            on_done(index, answers[-1])
     except BrokenProcessPool:
         raise SvcError("evaluation: a worker process died, perhaps for lack of memory: use fewer workers") from None
     except BaseException:
