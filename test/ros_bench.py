@@ -10,6 +10,8 @@ from typing import TypeVar
 
 import numpy as np
 import rclpy
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rcl_interfaces.srv import SetParameters
@@ -27,6 +29,7 @@ from svc_ros.ros.bag_player import CloudPlayer, ros_cloud
 from svc_ros.ros.collector import DecisionCollector, spin_until
 from svc_ros.ros.conversions import cloud_message
 from svc_ros.ros.processes import ChildProcess, local_environment
+from svc_ros.ros.registration_node import RegistrationNode
 
 RELIABLE_INPUTS = [f"qos_overrides./{side}_points.subscription.reliability:=reliable" for side in ("source", "target")]
 SECOND = 1_000_000_000
@@ -145,6 +148,56 @@ class StreamBench(NodeBench):
         is_decided = spin_until(self.executor, lambda: len(self.decisions_on(stamp_ns)) > before, timeout_s)
         assert is_decided, self.process.output()
         return self.decisions_on(stamp_ns)[-1]
+
+
+class Host:
+    """One context and one executor, as a user's own program has them."""
+
+    def __init__(self, domain_id: int) -> None:
+        self.domain_id = domain_id
+        self.context = Context()
+        rclpy.init(context=self.context, domain_id=domain_id)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.node = Node("host", context=self.context)
+        self.executor.add_node(self.node)
+        self.nodes: list[RegistrationNode] = []
+
+    def start(self, name: str = "svc_registration", **parameters) -> RegistrationNode:
+        reliable = {f"qos_overrides./{t}.subscription.reliability": "reliable" for t in
+                    ("points", "source_points", "target_points")}  # fmt: skip
+        values = {"preset": "lidar_indoor", "process_every": True, **reliable, **parameters}
+        given = [Parameter(key, value=value) for key, value in values.items()]
+        node = RegistrationNode(context=self.context, node_name=name, parameter_overrides=given)
+        self.nodes.append(node)
+        self.executor.add_node(node)
+        return node
+
+    def call(self, service_type, name, request):
+        client = self.node.create_client(service_type, name)
+        assert spin_until(self.executor, client.service_is_ready, 10.0)
+        future = client.call_async(request)
+        assert spin_until(self.executor, future.done, 20.0)
+        self.node.destroy_client(client)
+        return future.result()
+
+    def change(self, transition: int) -> bool:
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return self.call(ChangeState, "/svc_registration/change_state", request).success
+
+    def state(self) -> str:
+        return self.call(GetState, "/svc_registration/get_state", GetState.Request()).current_state.label
+
+    def status(self, name: str = "svc_registration"):
+        return json.loads(self.call(Trigger, f"/{name}/status", Trigger.Request()).message)
+
+    def close(self) -> None:
+        for node in self.nodes:
+            assert node.stop(30.0)
+            self.executor.remove_node(node)
+            node.destroy_node()
+        self.executor.shutdown(timeout_sec=1.0)
+        self.node.destroy_node()
+        self.context.try_shutdown()
 
 
 def recorded_clouds(bag_path: Path, topic: str | None = None) -> list[PointCloud2]:

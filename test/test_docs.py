@@ -177,7 +177,8 @@ def test_keys_of_decisions_status_and_diagnostics_are_those_of_the_node():
     always = {key for row in rows("decision keys") if row[1] == "always" for key in code(row[0])}
     assert always == set(_values(Decision(result, label, label)))
     statistics = Statistics({"points": True})
-    flow = {"pairing": {}, "worker": {"ready": True, "enabled": True, "queue": 0, "queue_size": 1}}
+    worker = {"ready": True, "enabled": True, "queue": 0, "queue_size": 1}
+    flow = {"pairing": {}, "worker": worker, "output": {"reader_stopped": False}}
     told = [status.name for status in statuses(statistics, flow, False)]
     assert told == [row[0].strip("`") for row in rows("statuses")]
     keys = {key: row[1] for row in rows("status keys") for key in code(row[0])}

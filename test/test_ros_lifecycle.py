@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import json
+import copy
 import sys
 
 import pytest
@@ -11,76 +11,20 @@ import pytest
 rclpy = pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
 
 from lifecycle_msgs.msg import Transition  # noqa: E402
-from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
 from mini_data import POSES, scan_room  # noqa: E402
-from rclpy.context import Context  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
-from rclpy.node import Node  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
-from rclpy.qos import QoSProfile  # noqa: E402
-from ros_bench import cloud  # noqa: E402
+from rclpy.qos import QoSProfile, qos_profile_sensor_data  # noqa: E402
+from ros_bench import Host, cloud  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import PointCloud2  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
 
 from svc_ros.core.errors import ConfigError, MissingDependencyError  # noqa: E402
 from svc_ros.ros.bag_player import CloudPlayer  # noqa: E402
 from svc_ros.ros.collector import DecisionCollector, spin_until  # noqa: E402
 from svc_ros.ros.processes import own_domain_id  # noqa: E402
-from svc_ros.ros.registration_node import RegistrationNode  # noqa: E402
 
 pytestmark = pytest.mark.dds
 
 SCANS = [scan_room(T, seed=k) for k, T in enumerate(POSES)]
-
-
-class Host:
-    """One context and one executor, as a user's own program has them."""
-
-    def __init__(self, domain_id: int) -> None:
-        self.context = Context()
-        rclpy.init(context=self.context, domain_id=domain_id)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.node = Node("host", context=self.context)
-        self.executor.add_node(self.node)
-        self.nodes: list[RegistrationNode] = []
-
-    def start(self, name: str = "svc_registration", **parameters) -> RegistrationNode:
-        reliable = {f"qos_overrides./{t}.subscription.reliability": "reliable" for t in
-                    ("points", "source_points", "target_points")}  # fmt: skip
-        values = {"preset": "lidar_indoor", "process_every": True, **reliable, **parameters}
-        given = [Parameter(key, value=value) for key, value in values.items()]
-        node = RegistrationNode(context=self.context, node_name=name, parameter_overrides=given)
-        self.nodes.append(node)
-        self.executor.add_node(node)
-        return node
-
-    def call(self, service_type, name, request):
-        client = self.node.create_client(service_type, name)
-        assert spin_until(self.executor, client.service_is_ready, 10.0)
-        future = client.call_async(request)
-        assert spin_until(self.executor, future.done, 20.0)
-        self.node.destroy_client(client)
-        return future.result()
-
-    def change(self, transition: int) -> bool:
-        request = ChangeState.Request(transition=Transition(id=transition))
-        return self.call(ChangeState, "/svc_registration/change_state", request).success
-
-    def state(self) -> str:
-        return self.call(GetState, "/svc_registration/get_state", GetState.Request()).current_state.label
-
-    def status(self, name: str = "svc_registration"):
-        return json.loads(self.call(Trigger, f"/{name}/status", Trigger.Request()).message)
-
-    def close(self) -> None:
-        for node in self.nodes:
-            assert node.stop(30.0)
-            self.executor.remove_node(node)
-            node.destroy_node()
-        self.executor.shutdown(timeout_sec=1.0)
-        self.node.destroy_node()
-        self.context.try_shutdown()
 
 
 @pytest.fixture
@@ -98,6 +42,15 @@ class Pairs:
         self.collector = DecisionCollector(host.node, host.executor)
         self._player = CloudPlayer(host.node, host.executor, "/source_points", "/target_points")
         assert self._player.wait_for_subscribers(10.0)
+
+    def publish(self, source: PointCloud2, target: PointCloud2) -> None:
+        self._player.publish(source, target)
+        spin_until(self._host.executor, lambda: False, 0.02)  # not faster than the node's inputs hold
+
+    def publish_source(self, source: PointCloud2) -> None:
+        publisher = self._host.node.create_publisher(PointCloud2, "/source_points", QoSProfile(depth=10))
+        assert spin_until(self._host.executor, publisher.get_subscription_count, 10.0)
+        publisher.publish(source)
 
     def decide(self, stamp_s: float):
         before = len(self.collector.answers.decisions)
@@ -135,6 +88,25 @@ def test_cleanup_gives_everything_back_and_the_node_can_be_configured_again(host
     assert host.status()["jobs"]["received"] == 1
     assert host.change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
     assert host.state() == "finalized"
+
+
+def test_cleanup_in_the_middle_of_work_answers_everything_that_came(host):
+    host.start()
+    pairs = Pairs(host)
+    assert pairs.decide(1.0)["verdict"] == "accepted"
+    for stamp in range(2, 12):
+        pairs.publish(cloud(SCANS[1] + 0.001 * stamp, stamp), cloud(SCANS[0] + 0.001 * stamp, stamp))
+    pairs.publish_source(cloud(SCANS[1], 12.0))
+    assert spin_until(host.executor, lambda: host.status()["received"]["source"] == 12, 10.0)
+    assert host.change(Transition.TRANSITION_DEACTIVATE)
+    assert host.change(Transition.TRANSITION_CLEANUP)
+    assert pairs.collector.wait_for_decisions(12, 10.0)
+    spin_until(host.executor, lambda: False, 0.5)
+    decisions = pairs.collector.answers.decisions
+    assert [d["source_stamp"] for d in decisions if d["target_stamp"]] == [f"{s}.000000000" for s in range(1, 12)]
+    (alone,) = [d for d in decisions if not d["target_stamp"]]
+    assert (alone["source_stamp"], alone["verdict"], alone["reason"]) == ("12.000000000", "dropped", "stale")
+    assert decisions[-2]["reason"] == "inactive"
 
 
 def test_what_prevents_the_configuration_is_raised_or_said_and_the_node_stays_unconfigured(host, capfd):
@@ -240,3 +212,14 @@ def test_pairs_that_wait_when_the_clock_jumps_back_are_stale(host):
     assert collector.wait_for_decisions(1, 10.0)
     (decision,) = collector.answers.decisions
     assert (decision["verdict"], decision["reason"]) == ("dropped", "stale")
+
+
+def test_overrides_of_one_node_stay_with_that_node(host):
+    before = copy.copy(qos_profile_sensor_data)
+    host.start("first", mode="scan_matching", **{"qos_overrides./points.subscription.depth": 77})
+    second = host.start(
+        "second", mode="scan_matching", **{"qos_overrides./points.subscription.reliability": "best_effort"}
+    )
+    (points,) = [s for s in second.subscriptions if s.topic_name == "/points"]
+    assert (points.qos_profile.reliability, points.qos_profile.depth) == (before.reliability, before.depth)
+    assert qos_profile_sensor_data == before

@@ -120,6 +120,28 @@ def test_stop_says_when_a_job_takes_too_long():
     assert worker.stop(5.0) is True
 
 
+def test_stop_answers_what_waits_and_leaves_calls_out():
+    release, begun, done, called = threading.Event(), threading.Event(), [], []
+
+    def process(job):
+        done.append(job)
+        begun.set()
+        release.wait(10.0)
+
+    worker = Worker(process, prepare=lambda: None)
+    worker.start()
+    for stamp in (1, 2, 3):
+        worker.jobs.put(small_pair(stamp), None)
+    worker.jobs.call_next(lambda: called.append(True))
+    assert begun.wait(5.0)
+    threading.Timer(0.2, release.set).start()
+    called.clear()
+    worker.jobs.call_next(lambda: called.append(True))
+    assert worker.stop(5.0)
+    assert [getattr(job, "reason", None) for job in done] == [None, Reason.INACTIVE, Reason.INACTIVE]
+    assert called == []
+
+
 def test_pair_of_one_room_is_accepted():
     decision = PairRegistrar(at_origin).decide(PairJob(cloud(SCANS[1], 5), cloud(SCANS[0], 5)), CONFIG)
     assert decision.result.verdict is Verdict.ACCEPTED

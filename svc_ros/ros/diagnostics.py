@@ -112,14 +112,14 @@ class Statistics:
 
 
 def statuses(statistics: Statistics, flow: Mapping[str, Any], process_every: bool) -> list[DiagnosticStatus]:
-    """The statuses of /diagnostics. `flow`: the node's own counters (pairing, queue, ready, enabled)."""
+    """The statuses of /diagnostics. `flow`: the node's own counters (pairing, worker, output)."""
     now = time.monotonic()
     numbers = statistics.numbers()
     return [
         _input_status(statistics, now),
         _status("pairing", _OK, "pairs by stamp", flow["pairing"]),
         _worker_status(flow, numbers, process_every),
-        _decision_status(statistics, numbers),
+        _decision_status(statistics, numbers, flow["output"]),
     ]
 
 
@@ -151,12 +151,16 @@ def _worker_status(flow: Mapping[str, Any], numbers: Mapping[str, Any], process_
     return _status("worker", _OK, "ready", values)
 
 
-def _decision_status(statistics: Statistics, numbers: Mapping[str, Any]) -> DiagnosticStatus:
+def _decision_status(
+    statistics: Statistics, numbers: Mapping[str, Any], output: Mapping[str, Any]
+) -> DiagnosticStatus:
     run = numbers["rejects_in_a_row"]
     values = {**numbers["decisions"], **numbers["jobs"], **{f"reason_{k}": n for k, n in numbers["reasons"].items()}}
-    values["rejects_in_a_row"] = run
+    values |= {"rejects_in_a_row": run, **{f"output_{name}": value for name, value in output.items()}}
     if statistics.fault:
         return _status("decisions", _ERROR, statistics.fault, values)
+    if output["reader_stopped"]:
+        return _status("decisions", _WARN, "a reader of ~/decision does not acknowledge what it is sent", values)
     if run >= _REJECTS_IN_A_ROW:
         return _status("decisions", _WARN, f"{run} pairs in a row were not accepted", values)
     return _status("decisions", _OK, f"{numbers['decisions']['accepted']} accepted", values)

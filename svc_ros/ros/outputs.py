@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
@@ -18,6 +19,7 @@ from svc_ros.ros.decision import Decision
 from svc_ros.ros.frames import TransformOutput
 from svc_ros.ros.looks import LookOutputs
 from svc_ros.ros.odometry_outputs import OdometryOutputs
+from svc_ros.ros.paced_sender import PacedSender
 from svc_ros.ros.parameters import NodeSettings
 from svc_ros.ros.worker import CloudLabel
 
@@ -25,13 +27,12 @@ _RELIABLE = QoSProfile(depth=100)
 _LAST_DECISION = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
-# With depth 1 a decision replaces one that a slow reader has not taken yet: of a burst of 1000 only 660 arrived. So
-# the next one waits until the last is acknowledged, which it is long before in all but bursts, or this time is over.
-_ACKNOWLEDGE = Duration(seconds=0.2)
+_AT_ONCE = Duration(seconds=0)  # rclpy waits with Python's lock in its hand: any longer, and all threads stand still
 
 
 class Outputs:
-    """Publishes decisions; belongs to the worker's thread.
+    """Publishes decisions; belongs to the worker's thread. What every pair has goes out on a thread of its own: see
+    PacedSender.
 
     Raises MissingDependencyError for /tf without tf2_msgs, and for a back end whose messages are not installed.
     """
@@ -46,6 +47,8 @@ class Outputs:
         self._pose = node.create_publisher(PoseWithCovarianceStamped, "~/pose", _RELIABLE)
         self._looks = LookOutputs(node)
         self._odometry = OdometryOutputs(node, self._tf) if settings.mode == "scan_matching" else None
+        # With depth 1 a decision replaces one that a reader has not got yet: of a burst of 1000 only 660 arrived.
+        self._sender: PacedSender[tuple[Bool, DiagnosticArray]] = PacedSender(self._send, self._has_arrived)
 
     def publish(self, decision: Decision, settings: NodeSettings) -> None:
         """Send everything of one decision; the decision itself goes last, as the sign that the rest is out."""
@@ -57,16 +60,28 @@ class Outputs:
         if self._edges is not None:
             self._edges.publish(decision)
         self._looks.publish(decision)
-        self._rejected.publish(Bool(data=not decision.result.accepted))
-        self._publish_decision(decision)
+        self._sender.put((Bool(data=not decision.result.accepted), _message(decision)))
 
     def publish_path(self, settings: NodeSettings) -> None:
         """Send the way so far, in scan matching; from any thread."""
         if self._odometry is not None:
             self._odometry.publish_path(settings)
 
+    def numbers(self) -> dict[str, Any]:
+        """How `~/decision` gets along with its readers; safe from any thread."""
+        sender = self._sender
+        return {
+            "waiting": sender.num_waiting,
+            "unacknowledged": sender.num_unacknowledged,
+            "reader_stopped": sender.is_reader_stopped,
+        }
+
+    def finish(self, timeout_s: float) -> bool:
+        """Send what waits; False if that was not possible in time. Nothing is published afterwards."""
+        return self._sender.close(timeout_s)
+
     def destroy(self) -> None:
-        """Give all publishers back."""
+        """Give all publishers back; `finish` comes first."""
         for publisher in (self._decision, self._rejected, self._transform, self._pose):
             self._node.destroy_publisher(publisher)
         for part in (self._looks, self._odometry, self._edges, self._tf):
@@ -82,14 +97,26 @@ class Outputs:
         if self._tf is not None and settings.mode == "pair":
             self._tf.publish(message, settings.tf_child_frame)
 
-    def _publish_decision(self, decision: Decision) -> None:
-        # A cloud without a partner: the message carries the stamp of the one there is.
-        source, target = decision.source or decision.target, decision.target or decision.source
-        stamp_ns, frame_id = (source.stamp_ns, target.frame_id) if source and target else (0, "")
-        message = decision_message(decision.result, _values(decision), stamp_ns, frame_id)
-        if self._decision.get_subscription_count():
-            self._decision.wait_for_all_acked(_ACKNOWLEDGE)
-        self._decision.publish(message)
+    # on the sender's thread
+
+    def _send(self, message: tuple[Bool, DiagnosticArray]) -> None:
+        rejected, decision = message
+        try:
+            self._rejected.publish(rejected)
+            self._decision.publish(decision)
+        except Exception:
+            if self._node.context.ok():
+                raise  # otherwise shut down meanwhile: nobody listens any more
+
+    def _has_arrived(self) -> bool:
+        return not self._node.context.ok() or self._decision.wait_for_all_acked(_AT_ONCE)
+
+
+def _message(decision: Decision) -> DiagnosticArray:
+    # A cloud without a partner: the message carries the stamp of the one there is.
+    source, target = decision.source or decision.target, decision.target or decision.source
+    stamp_ns, frame_id = (source.stamp_ns, target.frame_id) if source and target else (0, "")
+    return decision_message(decision.result, _values(decision), stamp_ns, frame_id)
 
 
 def _values(decision: Decision) -> dict[str, str]:

@@ -24,11 +24,12 @@ from svc_ros.ros.inputs import CLOUD_INPUTS, Inputs
 from svc_ros.ros.loop_engine import LoopEngine
 from svc_ros.ros.matching_engine import MatchingEngine
 from svc_ros.ros.outputs import Outputs
-from svc_ros.ros.parameters import NodeParameters
+from svc_ros.ros.parameters import NodeParameters, NodeSettings
 from svc_ros.ros.registrar import PairRegistrar
 from svc_ros.ros.services import Services
 from svc_ros.ros.worker import DropJob, Job, Worker
 
+_FINISH_S = 0.4  # for decisions that wait for a slow reader at the end
 _JUMP = JumpThreshold(min_forward=None, min_backward=Duration(seconds=-1), on_clock_change=False)
 
 
@@ -43,10 +44,11 @@ class Session:
         settings = parameters.settings
         self.is_active, self.is_enabled = False, True
         self.statistics = Statistics(CLOUD_INPUTS[settings.mode])
-        self.frames = Frames(node, settings)
-        self.outputs = Outputs(node, settings)
-        self.inputs = Inputs(node, parameters, self.statistics, self._take)
+        # What may need a package that is not there comes first: nothing is left behind then.
         self.engine: Engine = self._make_engine()
+        self.frames = Frames(node, settings)
+        self.outputs = self._make_outputs(settings)
+        self.inputs = Inputs(node, parameters, self.statistics, self._take)
         self.worker = Worker(self._process, self._warm_up)
         self._services = Services(node, parameters, self)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -60,8 +62,14 @@ class Session:
         self.worker.start()
 
     def stop(self, timeout_s: float) -> bool:
-        """End the worker after its current job, and write what is to be kept; False if it was still computing."""
+        """End the worker after its current job, answer what waits and write what is to be kept.
+
+        False if it was still computing when the time was over.
+        """
+        self.is_active = False
+        self.inputs.clear()
         is_done = self.worker.stop(timeout_s)
+        self.outputs.finish(_FINISH_S)
         if isinstance(self.engine, LoopEngine):
             try:
                 self.engine.write_graph()
@@ -104,7 +112,15 @@ class Session:
                 "queue_size": settings.queue_size,
                 **self.engine.numbers(),
             },
+            "output": self.outputs.numbers(),
         }
+
+    def _make_outputs(self, settings: NodeSettings) -> Outputs:
+        try:
+            return Outputs(self._node, settings)
+        except Exception:
+            self.frames.destroy()
+            raise
 
     def _make_engine(self) -> Engine:
         settings, sources = self._parameters.settings, _Sources(self)

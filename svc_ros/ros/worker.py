@@ -110,21 +110,22 @@ class JobQueue:
             self._changed.notify()
 
     def get(self) -> Job | CallJob | None:
-        """Wait for the next job; None when the queue is closed."""
+        """Wait for the next job; None when the queue is closed and empty."""
         with self._changed:
             self._changed.wait_for(lambda: self._jobs or self._closed)
-            return None if self._closed else self._jobs.popleft()
+            return self._jobs.popleft() if self._jobs else None
 
     def give_up(self, reason: Reason, detail: str) -> None:
         """Turn everything that waits to be computed into a drop."""
         with self._changed:
-            given_up = (j.drop(reason, detail) if isinstance(j, PairJob | ScanJob) else j for j in self._jobs)
-            self._jobs = deque(given_up)
+            self._give_up(reason, detail)
 
-    def close(self) -> None:
-        """Let `get` return None from now on."""
+    def close(self, detail: str) -> None:
+        """Nothing is computed any more: what waits becomes an `inactive` drop, and calls are left out."""
         with self._changed:
             self._closed = True
+            self._give_up(Reason.INACTIVE, detail)
+            self._jobs = deque(job for job in self._jobs if not isinstance(job, CallJob))
             self._changed.notify_all()
 
     @property
@@ -132,6 +133,10 @@ class JobQueue:
         """Pairs and scans that wait to be computed."""
         with self._changed:
             return sum(isinstance(job, PairJob | ScanJob) for job in self._jobs)
+
+    def _give_up(self, reason: Reason, detail: str) -> None:
+        given_up = (j.drop(reason, detail) if isinstance(j, PairJob | ScanJob) else j for j in self._jobs)
+        self._jobs = deque(given_up)
 
 
 class Worker:
@@ -151,8 +156,8 @@ class Worker:
         self._thread.start()
 
     def stop(self, timeout_s: float) -> bool:
-        """Let the thread end after its current job; False if that takes longer than `timeout_s`."""
-        self.jobs.close()
+        """Let the thread end after its current job and the drops; False if that takes longer than `timeout_s`."""
+        self.jobs.close("the node was stopped")
         if self._thread.ident is not None:
             self._thread.join(timeout_s)
         return not self._thread.is_alive()
