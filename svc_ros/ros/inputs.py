@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import time
 from collections.abc import Callable
@@ -97,7 +98,7 @@ class Inputs:
             self._statistics.num_lost[topic] = info.total_count
 
         subscription = self._node.create_subscription(
-            kind, topic, callback, qos,
+            kind, topic, callback, copy.copy(qos),  # rclpy writes what is overridden into the profile that it is given
             event_callbacks=SubscriptionEventCallbacks(incompatible_qos=on_incompatible, message_lost=on_lost),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )  # fmt: skip
