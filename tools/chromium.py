@@ -155,8 +155,9 @@ class Chromium:
             time.sleep(0.05)
         port, address = port_file.read_text().split("\n")[:2]
         browser = websocket.create_connection(
-            f"ws://127.0.0.1:{port}{address}", timeout=self._timeout_s, suppress_origin=True, http_no_proxy=["127.0.0.1"]
-        )
+            f"ws://127.0.0.1:{port}{address}", timeout=self._timeout_s, suppress_origin=True,
+            http_no_proxy=["127.0.0.1"],
+        )  # fmt: skip
         browser.send(json.dumps({"id": 0, "method": "Target.getTargets"}))
         targets = json.loads(browser.recv())["result"]["targetInfos"]
         browser.close()

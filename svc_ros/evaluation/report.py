@@ -98,7 +98,7 @@ def _title(run: Run, folder: Path) -> str:
         value = run.summary.get(key)
         if value:
             names = [value] if isinstance(value, str) else [str(name) for name in value]
-            return ", ".join(Path(name).name for name in names)
+            return ", ".join("/".join(Path(name).parts[-2:]) for name in names)
     return folder.resolve().name
 
 

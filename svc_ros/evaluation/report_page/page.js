@@ -74,8 +74,29 @@ function fillTiles() {
     if (verdict === "dropped" && !data.counts.dropped) continue;
     tile(verdictBadge(verdict), whole(data.counts[verdict]), total ? `${((100 * data.counts[verdict]) / total).toFixed(1)} %` : "");
   }
-  const factor = data.summary.find(([name]) => name === "real_time_factor");
-  if (factor && typeof factor[1] === "number") tile("speed", `${factor[1].toFixed(1)} ×`, "of real time");
+  const false_accepts = told("reference.num_false_accepted"), compared = told("reference.num_accepted_compared");
+  if (typeof false_accepts === "number") tile("false accepts", whole(false_accepts), `of ${whole(compared)} compared with the reference`);
+  const ape = told("reference.ape.translation_m.rmse");
+  if (typeof ape === "number") tile("trajectory error", `${ape.toFixed(ape < 1 ? 3 : 2)} m`, "APE, root mean square");
+  const factor = told("real_time_factor");
+  if (typeof factor === "number") tile("speed", `${factor.toFixed(1)} ×`, "of real time");
+}
+
+const told = (name) => (data.summary.find(([key]) => key === name) || [])[1];
+
+function fillSummary() {
+  const plain = (value) => (value === null ? "–" : typeof value === "number" && !Number.isInteger(value) ? String(Number(value.toPrecision(4))) : value);
+  const rows = data.summary.map(([name, value]) => [name.replaceAll("_", " "), plain(value)]);
+  const nested = /^(latency_ms|reference|versions|run|verdicts|reasons)\./;
+  const first = rows.filter((_, k) => !nested.test(data.summary[k][0]));
+  const rest = rows.filter((_, k) => nested.test(data.summary[k][0]));
+  const place = byId("summary");
+  if (!rows.length) { place.append(make("p", "hint", "There is no summary.")); return; }
+  place.append(twoColumns(first));
+  if (!rest.length) return;
+  const details = make("details");
+  details.append(make("summary", "", `All ${rows.length} numbers of summary.json`), twoColumns(rest));
+  place.append(details);
 }
 
 function setUpTheme() {
@@ -98,6 +119,8 @@ function setUpKeys() {
 function start() {
   document.body.classList.add(data.kind);
   byId("title").textContent = data.title;
+  const about = [told("mode"), told("topic"), told("method") && `method ${told("method")}`, told("preset") && `preset ${told("preset")}`];
+  byId("subtitle").textContent = about.filter(Boolean).join("  ·  ");
   byId("version").textContent = data.version;
   if (data.kind === "view") byId("pairs-title").textContent = "The pair in 3D";
   byId("foot").textContent = `Written by svc_ros ${data.version}. The page needs no network; scenes are thinned copies, coordinates rounded to 16 bits. In a plot, drag to zoom and double-click to see all.`;
@@ -110,7 +133,7 @@ function start() {
     fillTiles();
     fillFilter();
     fillWorst();
-    byId("summary").append(data.summary.length ? twoColumns(data.summary.map(([name, value]) => [name, value === null ? "–" : value])) : make("p", "hint", "There is no summary."));
+    fillSummary();
   }
   byId("pairs").hidden = !data.scenes.length;
   if (data.scenes.length) { shown = sceneOf(chosenIndex); fillPairs(); }

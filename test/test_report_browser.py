@@ -1,0 +1,269 @@
+"""The report in a real browser: it loads, it draws, pairs can be chosen, and it reads in every light and width."""
+
+from __future__ import annotations
+
+import io
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from report_cases import REFUSED, REJECTED, judged, write_run
+
+from svc_ros.evaluation.report import write_report, write_view
+from svc_ros.evaluation.scenes import make_scene
+from svc_ros.io.results import result_to_json
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tools"))
+from chromium import Chromium, find_chromium
+
+pytest.importorskip("websocket", reason="websocket-client not installed: pip install 'svc_ros[test]'")
+pytest.importorskip("plotly", reason="plotly not installed: pip install 'svc_ros[report]'")
+pytestmark = pytest.mark.skipif(find_chromium() is None, reason="no Chromium found: apt-get install chromium")
+
+DESKTOP, PHONE = (1280, 900), (390, 844)
+RED_LINES = """(() => {
+  const trace = document.getElementById("view3d").data.find((t) => t.name === "blocked");
+  return {num: trace.x.filter((x) => x !== null).length / 2, colour: trace.line.color, visible: trace.visible};
+})()"""
+BLOCKED_LIGHT, BLOCKED_DARK = "#e02020", "#ff5a5a"
+CHOSEN = "window.svcReport.chosen()"
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("run")
+    write_report(folder / "report.html", folder, write_run(folder))
+    return folder / "report.html"
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with Chromium() as chromium:
+        yield chromium
+
+
+@pytest.fixture
+def opened(browser, page):
+    """The report in a light and wide window, with every switch where it is at the start."""
+    browser.prefer("light")
+    browser.resize(*DESKTOP)
+    if browser.evaluate("location.href") != page.as_uri():
+        load(browser, page)
+    browser.evaluate(
+        "document.querySelector('#theme input[value=auto]').click();"
+        "document.querySelectorAll('#layers input:not(:checked)').forEach((box) => box.click());"
+        "document.activeElement.blur(); window.scrollTo({top: 0, behavior: 'instant'});"
+    )
+    set_filter(browser, "all")
+    browser.settle()
+    yield browser
+    assert browser.complaints == []
+
+
+def load(browser: Chromium, page: Path) -> Chromium:
+    browser.open(page)
+    browser.wait_for("window.svcReport && window.svcReport.ready && document.querySelector('#view3d canvas')")
+    browser.settle()
+    return browser
+
+
+def set_filter(browser: Chromium, verdict: str) -> None:
+    browser.evaluate(
+        f"(() => {{ const f = document.getElementById('filter'); f.value = '{verdict}';"
+        " f.dispatchEvent(new Event('change')); })()"
+    )
+
+
+def picture_of(browser: Chromium, selector: str) -> np.ndarray:
+    """RGB (H, W, 3) of the part of the window that an element covers."""
+    from PIL import Image
+
+    browser.evaluate(f"document.querySelector('{selector}').scrollIntoView({{behavior: 'instant', block: 'center'}})")
+    browser.settle()
+    box = browser.evaluate(
+        f"(() => {{ const b = document.querySelector('{selector}').getBoundingClientRect();"
+        " return [b.left, b.top, b.right, b.bottom].map(Math.round); })()"
+    )
+    return np.asarray(Image.open(io.BytesIO(browser.picture())).convert("RGB").crop(tuple(box)), np.int64)
+
+
+def reddish(picture: np.ndarray) -> int:
+    red, green, blue = np.moveaxis(picture, -1, 0)
+    return int(((red > 130) & (red > 1.7 * green) & (red > 1.7 * blue)).sum())
+
+
+def brightness(browser: Chromium) -> float:
+    return float(picture_of(browser, "#timeline").mean())
+
+
+def choose(browser: Chromium, index: int) -> None:
+    """As a person does it: by the selector."""
+    browser.evaluate(
+        f"(() => {{ const s = document.getElementById('pair'); s.value = '{index}';"
+        " s.dispatchEvent(new Event('change', {bubbles: true})); })()"
+    )
+    browser.settle()
+
+
+def test_it_loads_without_a_complaint_and_asks_nobody(browser, page):
+    browser.resize(*DESKTOP)
+    load(browser, page)
+    assert browser.complaints == []
+    asked = [url for url in browser.requests if not url.startswith(("data:", "blob:"))]
+    assert asked == [page.as_uri()]
+
+
+def test_every_plot_has_drawn_something(opened):
+    for name in ("timeline", "evidence", "map", "times", "view3d"):
+        assert opened.evaluate(f"document.querySelectorAll('#{name} svg, #{name} canvas').length") > 0, name
+        assert opened.evaluate(f"document.getElementById('{name}').data.length") > 0, name
+        assert opened.evaluate(f"document.getElementById('{name}').getAttribute('aria-label').length") > 20, name
+
+
+def test_the_selector_chooses_a_rejected_pair_with_red_sight_lines_in_its_data(opened):
+    choose(opened, 0)
+    assert opened.evaluate(CHOSEN) == 0
+    few = opened.evaluate(RED_LINES)["num"]
+    choose(opened, REJECTED)
+    assert opened.evaluate(f"window.svcReport.scene({REJECTED}).verdict") == "rejected"
+    lines = opened.evaluate(f"window.svcReport.scene({REJECTED}).target.blocked.length") / 3
+    lines += opened.evaluate(f"window.svcReport.scene({REJECTED}).source.blocked.length") / 3
+    source, target, results = judged()
+    assert lines == make_scene(0, source, target, results[REJECTED]).num_blocked_drawn
+    drawn = opened.evaluate(RED_LINES)
+    assert drawn["num"] == lines > max(100, few)
+    assert drawn["colour"] == BLOCKED_LIGHT
+    assert "rejected" in opened.evaluate("document.getElementById('facts').textContent")
+    assert "where the other looked through" in opened.evaluate("document.getElementById('facts').textContent")
+
+
+def test_the_canvas_is_not_blank_and_shows_red_lines_of_the_rejected_pair(opened):
+    choose(opened, REJECTED)
+    wrong = picture_of(opened, "#view3d")
+    background = wrong[20, 20]
+    assert (np.abs(wrong - background).sum(-1) > 60).mean() > 0.02
+    choose(opened, 0)
+    right = picture_of(opened, "#view3d")
+    assert reddish(wrong) > 5 * reddish(right)
+    assert reddish(wrong) > 500
+
+
+def test_a_layer_can_be_taken_away(opened):
+    choose(opened, REJECTED)
+    before = reddish(picture_of(opened, "#view3d"))
+    opened.evaluate("document.querySelector('#layers input[name=blocked]').click()")
+    assert opened.evaluate(RED_LINES)["visible"] is False
+    assert reddish(picture_of(opened, "#view3d")) < 0.1 * before
+    choose(opened, 0)
+    assert opened.evaluate(RED_LINES)["visible"] is False  # and stays away
+
+
+def test_keys_go_through_the_pairs(opened):
+    choose(opened, 0)
+    for key, expected in (("n", 1), ("n", 2), ("p", 1), ("p", 0), ("p", 0)):
+        opened.press(key)
+        assert opened.evaluate(CHOSEN) == expected
+    assert opened.evaluate("document.getElementById('previous').disabled")
+
+
+def test_the_tab_key_reaches_the_selector_and_shows_where_it_is(browser, page):
+    opened = load(browser, page)  # only then the key begins at the top
+    reached = []
+    for _ in range(12):
+        opened.press("Tab")
+        reached.append(opened.evaluate("document.activeElement.id || document.activeElement.className"))
+    assert reached[0] == "skip"
+    assert reached.index("pair") < reached.index("view3d")
+    opened.evaluate("document.getElementById('pair').focus()")
+    assert float(opened.evaluate("parseFloat(getComputedStyle(document.activeElement).outlineWidth)")) >= 2
+
+
+def test_arrow_keys_turn_the_picture(opened):
+    eye = "JSON.stringify(document.getElementById('view3d').layout.scene.camera.eye)"
+    before = opened.evaluate(eye)
+    opened.evaluate("document.getElementById('view3d').focus({preventScroll: true})")
+    opened.press("ArrowLeft")
+    assert opened.evaluate(eye) != before
+
+
+def test_the_filter_leaves_one_verdict(opened):
+    choose(opened, 0)
+    set_filter(opened, "accepted")
+    assert opened.evaluate("[...document.querySelectorAll('#pair option')].map((o) => Number(o.value))") == [0, 2]
+    assert opened.evaluate(CHOSEN) == 0
+
+
+def test_the_table_chooses_too_and_says_what_was_not_kept(opened):
+    rows = opened.evaluate(
+        "[...document.querySelectorAll('table.worst tbody tr')].map((r) => [r.dataset.line, r.textContent])"
+    )
+    texts = {int(line): text for line, text in rows}
+    assert "too few points after range crop" in texts[REFUSED].lower()
+    assert "not kept" in texts[REFUSED]
+    choose(opened, 0)
+    opened.evaluate(f"document.querySelector('tr[data-line=\"{REJECTED}\"] button').click()")
+    assert opened.evaluate(CHOSEN) == REJECTED
+
+
+def test_a_click_on_a_decision_in_a_plot_chooses_it(opened):
+    choose(opened, 0)
+    opened.evaluate("window.scrollTo({top: 0, behavior: 'instant'})")
+    place = opened.evaluate(
+        "(() => { const g = document.getElementById('timeline'), b = g.getBoundingClientRect(), l = g._fullLayout;"
+        f" const d = window.svcReport.data.decisions, k = d.line.indexOf({REJECTED});"
+        " return [b.left + l.xaxis._offset + l.xaxis.d2p(d.time_s[k]),"
+        " b.top + l.yaxis._offset + l.yaxis.d2p(d.probability[k])]; })()"
+    )
+    opened.click(*place)
+    opened.wait_for(f"{CHOSEN} === {REJECTED}")
+
+
+def test_dark_and_light_follow_the_system_and_the_switch(opened, browser):
+    assert brightness(opened) > 200
+    browser.prefer("dark")
+    assert brightness(opened) < 70
+    opened.evaluate("document.querySelector('#theme input[value=light]').click()")
+    assert brightness(opened) > 200
+    browser.prefer("light")
+    opened.evaluate("document.querySelector('#theme input[value=dark]').click()")
+    assert brightness(opened) < 70
+    assert opened.evaluate(RED_LINES)["colour"] == BLOCKED_DARK
+
+
+@pytest.mark.parametrize("width", [320, PHONE[0]])
+def test_a_phone_needs_no_sideways_scrolling(browser, page, width):
+    browser.resize(width, PHONE[1], phone=True)
+    load(browser, page)
+    assert browser.evaluate("document.documentElement.scrollWidth") <= width
+    wide = browser.evaluate(
+        "[...document.querySelectorAll('main *')].filter((e) => !e.closest('.plot, .view3d, pre, thead')"
+        f" && e.getBoundingClientRect().right > {width} + 1 && getComputedStyle(e).position !== 'absolute')"
+        ".map((e) => e.id || e.className || e.tagName)"
+    )
+    assert wide == []
+    choose(browser, REJECTED)
+    assert reddish(picture_of(browser, "#view3d")) > 200
+    assert browser.complaints == []
+
+
+def test_a_view_shows_its_one_pair(browser, tmp_path):
+    source, target, results = judged()
+    scene = make_scene(0, source, target, results[REJECTED])
+    write_view(tmp_path / "view.html", result_to_json(results[REJECTED]), scene, "scan_1.pcd onto scan_0.pcd")
+    browser.prefer("light")
+    browser.resize(*DESKTOP)
+    load(browser, tmp_path / "view.html")
+    assert browser.evaluate("document.querySelector('h1').textContent") == "scan_1.pcd onto scan_0.pcd"
+    assert browser.evaluate(RED_LINES)["num"] == scene.num_blocked_drawn
+    assert browser.evaluate("document.getElementById('timeline').clientHeight") == 0
+    assert browser.complaints == []
+
+
+def test_a_run_without_anything_loads_and_says_so(browser, tmp_path):
+    write_report(tmp_path / "report.html", tmp_path, [])
+    browser.resize(*DESKTOP)
+    browser.open(tmp_path / "report.html")
+    browser.wait_for("window.svcReport && window.svcReport.ready")
+    assert "decisions.jsonl is not in the folder" in browser.evaluate("document.getElementById('notes').textContent")
+    assert browser.complaints == []
