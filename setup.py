@@ -69,6 +69,7 @@ setup(
             "hypothesis>=6.100",
             "packaging>=23",
             "mcap>=1.2",
+            "websocket-client>=1.6",
             "colcon-core>=0.18",
             "colcon-ros>=0.5",
             "colcon-python-setup-py>=0.2.9",

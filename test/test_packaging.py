@@ -212,6 +212,7 @@ def environment_with(folder: Path, **more: str) -> dict[str, str]:
 class TestSetupScripts:
     FIND = PROJECT_ROOT / "tools" / "find_python.sh"
     LIBRARIES = PROJECT_ROOT / "tools" / "system_libraries.sh"
+    CHROMIUM = PROJECT_ROOT / "tools" / "chromium.sh"
 
     def test_a_shim_that_does_not_run_is_passed_over(self, tmp_path: Path) -> None:
         shim = stub(tmp_path / "bin", "python3.12", "echo 'command not found' >&2; exit 127")
@@ -273,7 +274,38 @@ class TestSetupScripts:
         assert "numpy is too old" in done.stderr
         assert not (tmp_path / "asked").exists()
 
-    @pytest.mark.parametrize("script", ["tools/setup.sh", "tools/lock.sh", ".ci/run"])
+    def machine_without_browser(self, folder: Path, apt_get: str, user: int = 0) -> dict[str, str]:
+        """A search path with nothing on it but a shell and these stubs."""
+        stub(folder, "apt-get", f'echo "$*" >>{folder}/asked\n{apt_get}')
+        stub(folder, "id", f"echo {user}")
+        stub(folder, "sudo", "exit 1")
+        for name in ("bash", "sh"):
+            (folder / name).symlink_to(shutil.which(name) or f"/bin/{name}")
+        return {"PATH": str(folder), "HOME": str(folder)}
+
+    def test_chromium_is_installed_only_where_there_is_none(self, tmp_path: Path) -> None:
+        environment = self.machine_without_browser(tmp_path / "bin", "exit 0")
+        shell = shutil.which("bash") or "/bin/bash"
+        done = run(shell, self.CHROMIUM, env=environment)
+        assert (done.returncode, "skipped" in done.stdout) == (0, False)
+        asked = (tmp_path / "bin" / "asked").read_text()
+        assert asked.strip().endswith("install -q -y --no-install-recommends chromium")
+        stub(tmp_path / "bin", "chromium", "exit 0")
+        assert run(shell, self.CHROMIUM, env=environment).stdout == ""
+        assert (tmp_path / "bin" / "asked").read_text() == asked
+
+    @pytest.mark.parametrize(("apt_get", "user"), [("exit 100", 0), ("exit 0", 1000)])
+    def test_the_set_up_goes_on_without_chromium_and_says_what_is_lost(
+        self, tmp_path: Path, apt_get: str, user: int
+    ) -> None:
+        environment = self.machine_without_browser(tmp_path / "bin", apt_get, user)
+        done = run(shutil.which("bash") or "/bin/bash", self.CHROMIUM, env=environment)
+        assert done.returncode == 0
+        assert "the tests of report.html in a browser will be skipped" in done.stdout
+        assert "sudo apt-get install -y --no-install-recommends chromium" in done.stdout
+        assert (tmp_path / "bin" / "asked").exists() == (user == 0)
+
+    @pytest.mark.parametrize("script", ["tools/setup.sh", "tools/chromium.sh", "tools/lock.sh", ".ci/run"])
     def test_scripts_are_executable_and_parse(self, script: str) -> None:
         path = PROJECT_ROOT / script
         if not path.exists():

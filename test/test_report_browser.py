@@ -217,6 +217,10 @@ def test_a_click_on_a_decision_in_a_plot_chooses_it(opened):
     )
     opened.click(*place)
     opened.wait_for(f"{CHOSEN} === {REJECTED}")
+    for name in ("timeline", "evidence", "map"):  # the ring is where the decision is
+        ring = opened.evaluate(f"document.getElementById('{name}').layout.shapes[0]")
+        assert ring["visible"], name
+    assert ring["xanchor"] == pytest.approx(6.0)  # half way between the two places, 4 m and 8 m
 
 
 def test_dark_and_light_follow_the_system_and_the_switch(opened, browser):

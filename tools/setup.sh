@@ -46,4 +46,5 @@ echo "installing into .venv (versions of $pins)"
 pip_install setuptools
 pip_install --no-build-isolation -e ".[$extras]"
 tools/system_libraries.sh .venv/bin/python
+tools/chromium.sh
 echo "ready: .venv/bin/svc_ros doctor says what works"

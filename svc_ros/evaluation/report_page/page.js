@@ -41,7 +41,7 @@ function choose(index) {
   shown = sceneOf(index);
   showChoice();
   drawScene();
-  if (data.kind === "report") { drawTimeline(); drawEvidence(); drawMap(); }
+  if (data.kind === "report") moveRings();
   return true;
 }
 

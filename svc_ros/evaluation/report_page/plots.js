@@ -35,13 +35,24 @@ function verdictTraces(rows, x, y) {
     type: "scatter", mode: "markers", name: "in 3D", hoverinfo: "skip", x: kept.map(x), y: kept.map(y),
     marker: { symbol: "circle-open", size: 14, color: css("soft"), line: { width: 1 }, opacity: 0.7 },
   });
-  const chosen = rows.filter((row) => row.line === chosenIndex);
-  traces.push({
-    type: "scatter", mode: "markers", name: "chosen", hoverinfo: "skip", x: chosen.map(x), y: chosen.map(y),
-    marker: { symbol: "circle-open", size: 19, color: css("accent"), line: { width: 3 } },
-  });
   return traces;
 }
+
+// A thick ring around the chosen decision: a shape, which moves without drawing the plot anew.
+const places = {}; // plot -> line -> [x, y]
+function ring(id) {
+  const place = places[id].get(chosenIndex) || [0, 1];
+  return {
+    type: "circle", visible: places[id].has(chosenIndex), xsizemode: "pixel", ysizemode: "pixel", xanchor: place[0], yanchor: place[1],
+    x0: -10, x1: 10, y0: -10, y1: 10, line: { color: css("accent"), width: 3 },
+  };
+}
+
+function moveRings() {
+  for (const id of Object.keys(places)) Plotly.relayout(byId(id), { "shapes[0]": ring(id) });
+}
+
+const placesOf = (rows, x, y) => new Map(rows.map((row) => [row.line, [x(row), y(row)]]));
 
 function draw(id, traces, plotLayout) {
   const div = byId(id);
@@ -58,7 +69,9 @@ function drawTimeline() {
   const timed = rows.some((row) => row.time !== null);
   const x = (row) => (timed ? row.time : row.line);
   const unjudged = rows.some((row) => row.probability === null);
-  const traces = verdictTraces(rows, x, (row) => (row.probability === null ? -0.14 : row.probability));
+  const y = (row) => (row.probability === null ? -0.14 : row.probability);
+  const traces = verdictTraces(rows, x, y);
+  places.timeline = placesOf(rows, x, y);
   for (const verdict of VERDICTS) {
     const some = rows.filter((row) => row.verdict === verdict);
     traces.unshift({
@@ -73,7 +86,7 @@ function drawTimeline() {
       range: [unjudged ? -0.22 : -0.06, 1.2], tickvals: unjudged ? [-0.14, ...ticks] : ticks,
       ticktext: (unjudged ? ["not judged"] : []).concat(ticks.map(String)),
     }),
-    shapes: [{ type: "line", xref: "paper", x0: 0, x1: 1, y0: 0.5, y1: 0.5, line: { color: css("soft"), width: 1, dash: "dot" } }],
+    shapes: [ring("timeline"), { type: "line", xref: "paper", x0: 0, x1: 1, y0: 0.5, y1: 0.5, line: { color: css("soft"), width: 1, dash: "dot" } }],
     margin: { l: 56, r: 12, t: 4, b: 40 },
   }));
   const drawn = rows.length;
@@ -89,6 +102,7 @@ function drawEvidence() {
   const rows = decisionRows().filter((row) => row.overlap !== null);
   const y = (row) => Math.max(row.blocked, FLOOR);
   const border = data.border;
+  places.evidence = placesOf(rows, (row) => row.overlap, y);
   const traces = [];
   const most = Math.max(0.5, ...rows.map(y)) * 1.25;
   const outer = border ? border.outer.map((value) => Math.max(value, FLOOR)) : [];
@@ -109,7 +123,7 @@ function drawEvidence() {
   const narrow = byId("evidence").clientWidth < 420; // a phone: there the note below the plot has to do
   const label = (x, y, text, more = {}) => ({ x, y: Math.log10(y), text, showarrow: false, font: { size: 12, color: css("soft") }, xanchor: "right", ...more });
   draw("evidence", traces.concat(verdictTraces(rows, (row) => row.overlap, y)), layout({
-    xaxis: axis("oriented overlap", { range: [0, 1.02] }),
+    xaxis: axis("oriented overlap", { range: [0, 1.02] }), shapes: [ring("evidence")],
     yaxis: axis("blocked share of the sight lines", { type: "log", range: [Math.log10(FLOOR * 0.8), Math.log10(most)], tickvals: [0.0003, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1], ticktext: ["≤ 0.0003", "0.001", "0.003", "0.01", "0.03", "0.1", "0.3", "1"] }),
     annotations: border && !narrow ? [
       label(0.99, most * 0.8, "never accepted"), label(0.99, Math.sqrt(outer.at(-1) * border.inner.at(-1)), "other evidence decides"), label(0.99, border.inner.at(-1) * 0.45, "never rejected for it"),
@@ -126,6 +140,7 @@ function drawEvidence() {
 
 function drawMap() {
   const map = data.map;
+  places.map = new Map();
   const line = (points, name, style) => ({ type: "scatter", mode: "lines", name, hoverinfo: "skip", x: points.map((p) => p[0]), y: points.map((p) => p[1]), line: style });
   const traces = [];
   if (map.reference.length) traces.push(line(map.reference, "reference", { color: css("soft"), width: 1.5, dash: "dot" }));
@@ -144,13 +159,10 @@ function drawMap() {
       text: links.map(([k]) => hoverText(rows.get(k))), x: links.map(([, x0, , x1]) => (x0 + x1) / 2), y: links.map(([, , y0, , y1]) => (y0 + y1) / 2),
       marker: { symbol: SYMBOLS[verdict], size: verdict === "accepted" ? 6 : 10, color: css(verdict), line: { width: verdict === "dropped" ? 1.5 : 0, color: css(verdict) } },
     });
-    const chosen = links.filter(([k]) => k === chosenIndex);
-    if (chosen.length) traces.push({
-      type: "scatter", mode: "markers", hoverinfo: "skip", x: chosen.map(([, x0, , x1]) => (x0 + x1) / 2), y: chosen.map(([, , y0, , y1]) => (y0 + y1) / 2),
-      marker: { symbol: "circle-open", size: 19, color: css("accent"), line: { width: 3 } },
-    });
+    for (const [k, x0, y0, x1, y1] of links) places.map.set(k, [(x0 + x1) / 2, (y0 + y1) / 2]);
   }
   draw("map", traces, layout({
+    shapes: [ring("map")],
     xaxis: axis("x [m]"), yaxis: axis("y [m]", { scaleanchor: "x", scaleratio: 1 }), dragmode: coarse.matches ? false : "pan",
     margin: { l: 56, r: 12, t: 8, b: 44 },
   }));
