@@ -16,10 +16,7 @@ MODES = ("pair", "scan_matching", "loop_closure")
 
 DECISIONS, RESULTS, TRAJECTORY, GRAPH = "decisions.jsonl", "results.mcap", "trajectory_tum.txt", "loops.g2o"
 CONFIG, SUMMARY, REPORT = "config.yaml", "summary.json", "report.html"
-_CHOSEN = (
-    "mode", "start_s", "duration_s", "stride", "sensor_frame", "odometry_frame", "reference_frame",
-    "with_input",
-)  # fmt: skip
+_CHOSEN = ("mode", "start_s", "duration_s", "stride", "sensor_frame", "odometry_frame", "reference_frame")
 
 Progress = Callable[[int, int], None]  # (clouds done, clouds expected); the second is exact once both are the same
 StopRequest = Callable[[], bool]

@@ -16,6 +16,7 @@ from svc_ros.pipeline.loop_closure import LoopCloser
 from svc_ros.pipeline.replay import pair_steps
 from svc_ros.pipeline.replay_ahead import ahead
 from svc_ros.pipeline.replay_clouds import BagPart, ReplayedPair, ReplayStep, read_clouds
+from svc_ros.pipeline.replay_known import KnownLoops
 from svc_ros.pipeline.replay_stream import (
     Odometry,
     loop_steps,
@@ -28,8 +29,8 @@ from svc_ros.pipeline.replay_stream import (
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """What is replayed of an open bag; reference: None where none was given; num_expected: clouds, estimated where
-    only a part of the bag is wanted."""
+    """What is replayed of an open bag. reference: None where none was given; num_expected: clouds, estimated where only
+    a part of the bag is wanted; closer, odometry: in loop closure."""
 
     topic: str
     part: BagPart
@@ -37,40 +38,50 @@ class Replay:
     reference: Reference | None
     num_expected: int
     closer: LoopCloser | None = None
+    odometry: Odometry | None = None
 
 
-def open_replay(job: ReplayJob, bag: Bag, topic: str) -> Replay:
-    """Look at all inputs before anything is written. Raises InputError and MissingDependencyError."""
-    every = 1 if job.mode == "pair" else job.stride
-    part = BagPart(topic, job.start_s, job.duration_s, every, job.sensor_frame)
-    first, last = part.span_ns(bag)
-    begin, end = bag.span_ns
-    share = (last - first + 1) / (end - begin + 1)
+def open_replay(job: ReplayJob, bag: Bag, topic: str, known: Sequence[ReplayedPair]) -> Replay:
+    """Look at all inputs before anything is written. Raises InputError and MissingDependencyError.
+
+    known: see `steps_of`.
+    """
     if job.report and importlib.util.find_spec("plotly") is None:
         raise MissingDependencyError("report.html needs plotly: pip install plotly, or replay with --no-report")
-    reference = None
-    if job.reference is not None:
-        check_evo()
-        reference = Reference.read(job.reference, bag, job.reference_frame)
-    closer = LoopCloser(job.config) if job.mode == "loop_closure" else None
-    track: Track = StreamTrack() if job.mode == "scan_matching" else PairTrack()
-    if closer is not None:
-        track = LoopTrack(closer)
+    every = 1 if job.mode == "pair" else job.stride
+    part = BagPart(topic, job.start_s, job.duration_s, every, job.sensor_frame)
+    (first, last), (begin, end) = part.span_ns(bag), bag.span_ns
+    share = (last - first + 1) / (end - begin + 1)
     num_expected = max(1, round(share * bag.num_scans(topic) / every))
-    return Replay(topic, part, track, reference, num_expected, closer)
+    closer = LoopCloser(job.config, KnownLoops(known)) if job.mode == "loop_closure" else None
+    odometry = None if closer is None else _odometry(job, bag)
+    return Replay(topic, part, _track(job, closer), _reference(job, bag), num_expected, closer, odometry)
 
 
 def steps_of(job: ReplayJob, replay: Replay, bag: Bag, known: Sequence[ReplayedPair]) -> Generator[ReplayStep]:
     """What each cloud leads to, in order. known: the first decisions, which an earlier run made.
 
-    In `pair` they are taken as they are. The other modes go on from what they have seen, and make them again.
+    Pairs and loops are taken as they are; scan matching, which goes on from what it has seen, makes them again.
     """
     clouds = ahead(read_clouds(bag, replay.part))
     if job.mode == "pair":
         return pair_steps(clouds, job.config, job.stride, known)
-    if replay.closer is None:
+    if replay.closer is None or replay.odometry is None:
         return matching_steps(clouds, job.config)
-    return loop_steps(ahead(track_clouds(clouds, _odometry(job, bag))), replay.closer)
+    return loop_steps(ahead(track_clouds(clouds, replay.odometry)), replay.closer)
+
+
+def _track(job: ReplayJob, closer: LoopCloser | None) -> Track:
+    if closer is not None:
+        return LoopTrack(closer)
+    return PairTrack() if job.mode == "pair" else StreamTrack()
+
+
+def _reference(job: ReplayJob, bag: Bag) -> Reference | None:
+    if job.reference is None:
+        return None
+    check_evo()
+    return Reference.read(job.reference, bag, job.reference_frame)
 
 
 def _odometry(job: ReplayJob, bag: Bag) -> Odometry:

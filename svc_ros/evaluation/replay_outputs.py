@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -26,48 +27,41 @@ TRANSFORMS_TYPE = "tf2_msgs/msg/TFMessage"
 class DecisionFiles:
     """decisions.jsonl and results.mcap, and the scenes for the report.
 
-    What an earlier run has written comes first, and is not written again when its decisions come by.
-    results.mcap appears when this is closed, also after an error, and replaces that of the earlier run.
+    The lines of an earlier run stay as they are; its decisions come by again, and go into all the rest.
+    results.mcap appears when this is closed, also after an error.
     """
 
     def __init__(self, folder: Path, odometry_frame: str, earlier: Earlier) -> None:
-        self._odometry_frame = odometry_frame
-        self._num_written, self._num_clouds = len(earlier.records), earlier.num_clouds
-        self._num_seen = 0
+        self._odometry_frame, self._earlier = odometry_frame, earlier
+        self.num_seen = 0
         self.scenes = SceneKeeper()
         with ExitStack() as opened:
-            self._lines = opened.enter_context(_open_lines(folder / DECISIONS))
+            self._lines = opened.enter_context(_open_lines(folder / DECISIONS, bool(earlier.records)))
             self._results = opened.enter_context(ResultWriter(folder / RESULTS))
-            for record in earlier.records:
-                self._lines.write(json_line(record) + "\n")
-            for message in earlier.messages():
-                self._results.write_recorded(*message)
             self._opened = opened.pop_all()
 
     def write(self, decision: ReplayedPair, record: Mapping[str, Any]) -> None:
         """Take the next decision; record: its line."""
-        number, self._num_seen = self._num_seen, self._num_seen + 1
-        if decision.scans is not None:
-            self.scenes.offer(number, *decision.scans, decision.result)
-        if number < self._num_written:
-            return
-        self._lines.write(json_line(record) + "\n")
+        number, self.num_seen = self.num_seen, self.num_seen + 1
+        if number < len(self._earlier.records):
+            self._earlier.check(number, record)
+        else:
+            self._lines.write(json_line(record) + "\n")
         stamps = decision.source_stamp_ns, decision.target_stamp_ns
         frames = decision.source_frame, decision.target_frame
         self._results.write(decision.result, *stamps, *frames, origin=decision.origin)
         picture = draw(decision, self._odometry_frame)
         if picture is not None:
             self._results.write_picture(picture, decision.source_stamp_ns)
+        if decision.scans is not None:
+            self.scenes.offer(number, *decision.scans, decision.result)
 
     def write_cloud(self, topic: str, cloud: RecordedCloud) -> None:
         """Copy the cloud itself."""
-        if cloud.index >= self._num_clouds:
-            self._results.write_recorded(RecordedTopic(topic, CLOUD_TYPE), cloud.bag_time_ns, cloud.message)
+        self._results.write_recorded(RecordedTopic(topic, CLOUD_TYPE), cloud.bag_time_ns, cloud.message)
 
     def write_transforms(self, bag: Bag, span_ns: tuple[int, int]) -> None:
         """Copy /tf of that time and all of /tf_static."""
-        if self._num_written:
-            return
         for topic, time_ns, message in bag.transform_messages():
             is_static = topic.lstrip("/") == "tf_static"
             if is_static or span_ns[0] <= time_ns <= span_ns[1]:
@@ -82,9 +76,12 @@ class DecisionFiles:
         self._opened.close()
 
 
-def _open_lines(path: Path) -> TextIO:
+def _open_lines(path: Path, go_on: bool) -> TextIO:
+    """A file whose every line is on disk as soon as it is written; go_on: after the last whole line there is."""
     try:
-        return path.open("w", encoding="utf-8", buffering=1)  # a line is on disk as soon as it is written
+        if go_on:
+            os.truncate(path, path.read_bytes().rfind(b"\n") + 1)
+        return path.open("a" if go_on else "w", encoding="utf-8", buffering=1)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
 

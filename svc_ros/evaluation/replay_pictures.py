@@ -10,11 +10,10 @@ from svc_ros.core.evidence import SightLines
 from svc_ros.core.result import Verdict
 from svc_ros.core.scan import Array, PreparedScan
 from svc_ros.core.se3 import apply
-from svc_ros.evaluation.sight_lines import choose_lines
+from svc_ros.evaluation.sight_lines import MAX_LINES, choose_lines
 from svc_ros.io.pictures import Colour, LineGroup, Picture
 from svc_ros.pipeline.stream import StreamDecision
 
-MAX_LINES = 400  # of each colour and scan, as the node draws them
 _GREEN: Colour = (0.1, 0.8, 0.2, 0.35)
 _RED: Colour = (0.9, 0.1, 0.1, 1.0)
 _VERDICT_COLOURS: dict[Verdict, Colour] = {

@@ -31,7 +31,7 @@ from svc_ros.io.bags import Bag
 from svc_ros.io.config_yaml import config_to_yaml
 from svc_ros.io.g2o import write_g2o
 from svc_ros.io.trajectories import Trajectory, write_tum
-from svc_ros.pipeline.replay_clouds import ReplayStep
+from svc_ros.pipeline.replay_clouds import ReplayedPair, ReplayStep
 
 __all__ = ["ReplayJob", "replay_bag"]
 
@@ -51,11 +51,10 @@ def replay_bag(
     config_text = config_to_yaml(job.config, job.preset)
     with Bag(job.bag) as bag:
         topic = bag.resolve_cloud_topic(job.topic)
-        replay = open_replay(job, bag, topic)
         earlier = find_earlier(job, topic, config_text)
         if earlier.finished:
             return dict(earlier.finished)
-        run = _Run(job, replay, earlier)
+        run = _Run(job, open_replay(job, bag, topic, earlier.decisions()), earlier)
         run.begin(config_text)
         run.follow(bag, on_progress or _nothing, stop)
     return run.finish()
@@ -73,14 +72,14 @@ class _Run:
     def begin(self, config_text: str) -> None:
         """Make the folder, and say in it what is going to be there; files of an older run go."""
         out = self._job.out
-        still_needed = (DECISIONS, RESULTS) if self._earlier.results is not None else ()
+        still_needed = (DECISIONS,) if self._earlier.records else ()
         try:
             out.mkdir(parents=True, exist_ok=True)
             for name in {TRAJECTORY, GRAPH, REPORT, DECISIONS, RESULTS}.difference(still_needed):
                 (out / name).unlink(missing_ok=True)
             (out / CONFIG).write_text(config_text, encoding="utf-8")
         except OSError as error:
-            raise InputError(f"{out}: cannot be written: {error.strerror}") from None
+            raise InputError(f"--out {out}: cannot be written: {error.strerror}") from None
         self._write_summary({})
 
     def follow(self, bag: Bag, on_progress: Progress, should_stop: StopRequest) -> None:
@@ -99,6 +98,8 @@ class _Run:
                 self._wait(should_stop)
                 if should_stop():
                     self._state = "interrupted"
+                    for decision in known[files.num_seen :]:  # their lines are there already
+                        self._take_decision(decision, files)
                     break
             else:
                 self._state = "complete"
@@ -127,15 +128,18 @@ class _Run:
         return summary
 
     def _take(self, step: ReplayStep, files: DecisionFiles) -> None:
-        reference = self._replay.reference
         self._tally.add_step(step)
         self._replay.track.add(step)
         if self._job.with_input:
             files.write_cloud(self._replay.topic, step.cloud)
         for decision in step.decisions:
-            errors = None if reference is None else reference.errors(decision)
-            files.write(decision, record_of(decision, reference is not None, errors))
-            self._tally.add_decision(decision, errors)
+            self._take_decision(decision, files)
+
+    def _take_decision(self, decision: ReplayedPair, files: DecisionFiles) -> None:
+        reference = self._replay.reference
+        errors = None if reference is None else reference.errors(decision)
+        files.write(decision, record_of(decision, reference is not None, errors))
+        self._tally.add_decision(decision, errors)
 
     def _wait(self, should_stop: StopRequest) -> None:
         """Keep to the largest rate."""

@@ -189,13 +189,6 @@ class Bag:
         names = [info.name for info in self.topics if info.name.lstrip("/") in _TF_TOPICS]
         yield from self._messages(names, _TF_TYPES)
 
-    def serialised(self) -> Iterator[tuple[TopicInfo, int, bytes | memoryview]]:
-        """Yield every message as it was recorded: its topic, the time [ns] at which it was, and its bytes."""
-        reader, topics = self._open_reader(), {info.name: info for info in self.topics}
-        with self._errors_named():
-            for connection, bag_time_ns, raw in reader.messages():
-                yield topics[connection.topic], bag_time_ns, raw
-
     def _messages(
         self, topics: list[str], types: tuple[str, ...], span_ns: tuple[int, int] | None = None
     ) -> Iterator[tuple[str, int, Any]]:

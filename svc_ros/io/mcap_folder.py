@@ -46,11 +46,7 @@ class McapFolder:
     def write(self, topic: str, stamp_ns: int, message: Any) -> None:
         """Write a message of a declared topic."""
         connection = self.connections[topic]
-        self.write_bytes(topic, stamp_ns, self.store.serialize_cdr(message, connection.msgtype))
-
-    def write_bytes(self, topic: str, stamp_ns: int, data: bytes | memoryview) -> None:
-        """Write a message of a declared topic as it was recorded."""
-        self._writer.write(self.connections[topic], stamp_ns, data)
+        self._writer.write(connection, stamp_ns, self.store.serialize_cdr(message, connection.msgtype))
 
     def close(self) -> None:
         """Write the index and metadata.yaml."""

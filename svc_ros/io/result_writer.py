@@ -114,13 +114,9 @@ class ResultWriter:
         self._put("sight_lines", stamp, marker_array(bag, picture, stamp))
 
     def write_recorded(self, topic: RecordedTopic, time_ns: int, message: Any) -> None:
-        """Write a message that was read from a bag, with the time at which it was recorded.
-
-        message: as its reader made it, of ROS 1 or ROS 2, or the bytes of ROS 2's serialisation.
-        """
+        """Write a message as it was read from a bag, of ROS 1 or ROS 2, with the time at which it was recorded."""
         self._declare(topic.name, topic.type, topic.latched)
-        write = self._bag.write_bytes if isinstance(message, bytes | memoryview) else self._bag.write
-        write(topic.name, checked_stamp(time_ns), message)
+        self._bag.write(topic.name, checked_stamp(time_ns), message)
 
     def close(self) -> None:
         """Finish the file and put it in its place; a second call does nothing."""

@@ -7,6 +7,7 @@ comes with it is verified, and if that is not accepted the two scans are registe
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +25,8 @@ from svc_ros.pipeline.keyframes import Keyframe, KeyframeStore
 from svc_ros.pipeline.place import compare_places
 from svc_ros.pipeline.stream import StampOrder, StreamDecision, demand, drop_scan, refuse_scan
 
+Judge = Callable[[Keyframe, Keyframe, Array | None, Config], RegistrationResult]
+
 
 @dataclass(frozen=True, eq=False)
 class LoopCandidate:
@@ -35,10 +38,13 @@ class LoopCandidate:
 
 
 class LoopCloser:
-    """Keeps keyframes of one sensor and looks for loops among them; for one thread at a time."""
+    """Keeps keyframes of one sensor and looks for loops among them; for one thread at a time.
 
-    def __init__(self, config: Config) -> None:
-        self._config = config
+    judge: what decides on a candidate, `judge_candidate` where nothing else is given.
+    """
+
+    def __init__(self, config: Config, judge: Judge | None = None) -> None:
+        self._config, self._judge_candidate = config, judge or judge_candidate
         self._order = StampOrder()
         self._keyframes = KeyframeStore(config.loop_closure.max_keyframes)
         self._poses: dict[int, Array] = {}  # of every keyframe so far by stamp, those that were given up too
@@ -138,7 +144,7 @@ class LoopCloser:
         return [LoopCandidate(keyframe, None, "place") for _, keyframe in found[: limits.max_similar]]
 
     def _judge(self, this: Keyframe, candidate: LoopCandidate) -> StreamDecision:
-        result = judge_candidate(this, candidate.target, candidate.T_target_source, self._config)
+        result = self._judge_candidate(this, candidate.target, candidate.T_target_source, self._config)
         candidate.target.forget_searches()
         source, target = this.scan, candidate.target.scan
         return StreamDecision(

@@ -7,33 +7,43 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator, Sequence
+from dataclasses import replace
 
 from svc_ros.core.config import Config
 from svc_ros.core.errors import InputError
-from svc_ros.core.registration import extract_features
+from svc_ros.core.registration import extract_features, prepare
 from svc_ros.core.result import RegistrationResult
-from svc_ros.core.scan import Features
+from svc_ros.core.scan import Features, PreparedScan
 from svc_ros.io.bags import Bag
 from svc_ros.pipeline.decide import refused, register_pair
 from svc_ros.pipeline.replay_clouds import BagPart, RecordedCloud, ReplayedPair, ReplayStep, Stopwatch, read_clouds
+from svc_ros.pipeline.replay_known import look_again
 
 
 class _SeenScan:
-    """One cloud of the bag; its features, or the error that it ended in, are found when they are first needed."""
+    """One cloud of the bag; what is computed of it, or the error that this ended in, is found when first needed."""
 
     def __init__(self, cloud: RecordedCloud, config: Config) -> None:
         self.cloud, self._config = cloud, config
+        self.prepared: PreparedScan | None = None
         self.features: Features | None = None
         self.error = cloud.error
 
-    def find_features(self) -> Features | None:
-        """What registration needs; None where `error` says why there is nothing."""
-        if self.features is None and self.error is None:
+    def prepare(self) -> PreparedScan | None:
+        """The scan as it is judged; None where `error` says why there is none."""
+        if self.prepared is None and self.error is None:
             assert self.cloud.scan is not None  # a cloud has a scan or an error
             try:
-                self.features = extract_features(self.cloud.scan, self._config)
+                self.prepared = prepare(self.cloud.scan, self._config)
             except InputError as error:
                 self.error = error
+        return self.prepared
+
+    def describe(self) -> Features | None:
+        """What registration needs; None where `error` says why there is nothing."""
+        scan = self.prepare()
+        if self.features is None and scan is not None:
+            self.features = extract_features(scan, self._config)
         return self.features
 
 
@@ -66,7 +76,7 @@ def pair_steps(
         if number < 0:
             yield ReplayStep(cloud)
         elif number < len(known):
-            yield ReplayStep(cloud, [known[number]])
+            yield ReplayStep(cloud, [_seen_again(known[number], seen, recent[0], config)])
         else:
             yield _step(seen, recent[0], config)
         recent.append(seen)
@@ -74,12 +84,20 @@ def pair_steps(
 
 def _step(source: _SeenScan, target: _SeenScan, config: Config) -> ReplayStep:
     watch = Stopwatch()
-    target.find_features()
-    source.find_features()
+    target.describe()
+    source.describe()
     features_ms = watch.ms()
     decision = _decide(source, target, config)
     times = {"read": source.cloud.read_ms, "features": features_ms, "decide": watch.ms() - features_ms}
     return ReplayStep(source.cloud, [decision], time_ms=times)
+
+
+def _seen_again(known: ReplayedPair, source: _SeenScan, target: _SeenScan, config: Config) -> ReplayedPair:
+    source_scan, target_scan = source.prepare(), target.prepare()
+    if known.result.best_candidate is None or source_scan is None or target_scan is None:
+        return known
+    result = look_again(known.result, source_scan, target_scan, config)
+    return replace(known, result=result, scans=(source_scan, target_scan))
 
 
 def _decide(source: _SeenScan, target: _SeenScan, config: Config) -> ReplayedPair:

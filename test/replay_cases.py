@@ -1,0 +1,66 @@
+"""A small bag for the tests of the replay: a way out and back through the furnished room."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mini_data
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from svc_ros.core import se3
+from svc_ros.core.config import preset, with_values
+from svc_ros.evaluation.replay_job import ReplayJob
+from svc_ros.io.bags import CloudBagWriter
+from svc_ros.io.results import read_jsonl
+from svc_ros.io.trajectories import Trajectory, write_tum
+
+CONFIG = with_values(preset("lidar_indoor"), {"loop_closure.min_gap_s": 0.35, "loop_closure.keyframe_distance_m": 0.2})
+START_NS, STEP_NS = 1_700_000_000_123_456_789, 100_000_000
+WAY = [mini_data.sensor_pose(x, 0.1 * x, 10 * x) for x in (0.0, 0.3, 0.6, 0.9, 0.6, 0.3, 0.0)]
+STAMPS = [START_NS + k * STEP_NS for k in range(len(WAY))]
+MOUNTING = se3.make_pose(Rotation.from_euler("z", 20, degrees=True).as_matrix(), (0.3, 0.0, 1.2))
+OUTPUTS = {"decisions.jsonl", "trajectory_tum.txt", "loops.g2o", "results.mcap", "config.yaml", "summary.json"}
+
+
+def write_room_bag(path: Path, broken: tuple[int, ...] = ()) -> Path:
+    """TF odom -> base_link -> lidar and /points at 10 Hz; clouds whose numbers are `broken` have six points."""
+    with CloudBagWriter(path) as bag:
+        bag.write_transform(START_NS, "base_link", "lidar", MOUNTING, static=True)
+        for k, T in enumerate(WAY):
+            bag.write_transform(STAMPS[k], "odom", "base_link", T @ se3.invert(MOUNTING))
+            points = np.eye(6, 3) + 1.0 if k in broken else mini_data.scan_room(T, seed=k)
+            bag.write_points(STAMPS[k], "lidar", points)
+    return path
+
+
+def write_reference(path: Path) -> Path:
+    """The true way of the lidar."""
+    write_tum(path, Trajectory(np.array(STAMPS), np.array(WAY)))
+    return path
+
+
+def job(bag: Path, out: Path, mode: str = "pair", **more: Any) -> ReplayJob:
+    """A job of the room's bag without a report, which costs some tenths of a second."""
+    return ReplayJob(bag, out, CONFIG, "lidar_indoor", mode, **{"report": False, **more})
+
+
+def timeless_lines(out: Path) -> list[dict[str, Any]]:
+    """The decisions without the times that they took."""
+    return [{name: value for name, value in row.items() if name != "time_ms"} for row in read_decisions(out)]
+
+
+def read_decisions(out: Path) -> list[dict[str, Any]]:
+    return read_jsonl(out / "decisions.jsonl")
+
+
+class StopAfter:
+    """Asks to stop once it was asked so many times."""
+
+    def __init__(self, num: int) -> None:
+        self.left = num
+
+    def __call__(self) -> bool:
+        self.left -= 1
+        return self.left <= 0
