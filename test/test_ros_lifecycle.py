@@ -11,11 +11,13 @@ import pytest
 rclpy = pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
 
 from lifecycle_msgs.msg import Transition  # noqa: E402
+from lifecycle_msgs.srv import ChangeState  # noqa: E402
 from mini_data import POSES, scan_room  # noqa: E402
 from rclpy.qos import QoSProfile, qos_profile_sensor_data  # noqa: E402
 from ros_bench import Host, cloud  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import PointCloud2  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
 
 from svc_ros.core.errors import ConfigError, MissingDependencyError  # noqa: E402
 from svc_ros.ros.bag_player import CloudPlayer  # noqa: E402
@@ -107,6 +109,35 @@ def test_cleanup_in_the_middle_of_work_answers_everything_that_came(host):
     (alone,) = [d for d in decisions if not d["target_stamp"]]
     assert (alone["source_stamp"], alone["verdict"], alone["reason"]) == ("12.000000000", "dropped", "stale")
     assert decisions[-2]["reason"] == "inactive"
+
+
+def test_services_that_wait_when_the_node_is_cleaned_up_are_answered(host):
+    host.start()
+    pairs = Pairs(host)
+    assert pairs.decide(1.0)["verdict"] == "accepted"
+    names = ("verify", "reset", "change_state")
+    kinds = (Trigger, Trigger, ChangeState)
+    clients = [
+        host.node.create_client(kind, f"/svc_registration/{name}") for kind, name in zip(kinds, names, strict=True)
+    ]
+    assert spin_until(host.executor, lambda: all(client.service_is_ready() for client in clients), 10.0)
+    for stamp in range(2, 8):
+        pairs.publish(cloud(SCANS[1] + 0.001 * stamp, stamp), cloud(SCANS[0] + 0.001 * stamp, stamp))
+    verify, reset, change = clients
+    answers = [client.call_async(Trigger.Request()) for client in (verify, reset, verify)]
+    transitions = (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP)
+    changes = [change.call_async(ChangeState.Request(transition=Transition(id=t))) for t in transitions]
+    assert spin_until(host.executor, lambda: all(f.done() for f in (*answers, *changes)), 20.0)
+    assert all(change.result().success for change in changes)
+    texts = [answer.result().message for answer in answers if not answer.result().success]
+    assert set(texts) <= {"the node was cleaned up or shut down"}
+    (node,) = host.nodes
+    assert spin_until(
+        host.executor, lambda: not [s for s in node.services if s.srv_name.endswith(("verify", "status"))], 5.0
+    )
+    assert host.change(Transition.TRANSITION_CONFIGURE)
+    assert host.change(Transition.TRANSITION_ACTIVATE)
+    assert pairs.decide(100.0)["verdict"] == "accepted"
 
 
 def test_what_prevents_the_configuration_is_raised_or_said_and_the_node_stays_unconfigured(host, capfd):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import functools
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -39,7 +40,8 @@ CLOUD_INPUTS: dict[str, dict[str, bool]] = {  # of each mode: name, and whether 
 class Inputs:
     """Subscribes to what the mode needs, and gives each pair, scan or cloud without a partner to `take`.
 
-    `guesses` and `odometry` may be read from any thread; everything else belongs to the executor's.
+    `guesses` and `odometry` may be read from any thread. lock: held while clouds are paired and counted, so that an
+    executor with several threads may call everything here; who holds it sees counts that fit each other.
     """
 
     def __init__(
@@ -47,6 +49,7 @@ class Inputs:
     ) -> None:
         self._node, self._parameters, self._statistics, self._take = node, parameters, statistics, take
         self.pairer: StampPairer[Cloud] = StampPairer(parameters.settings.max_skew_ns)
+        self.lock = threading.RLock()
         self.guesses, self.odometry = PoseBuffer(_KEPT_GUESSES), PoseBuffer(_KEPT_ODOMETRY)
         self.odometry_child_frame = ""
         self._last_cloud_s = time.monotonic()
@@ -64,12 +67,14 @@ class Inputs:
     def give_up_waiting(self) -> None:
         """Answer what waits for a partner when clouds have not come for `pair_timeout`; to be called now and then."""
         timeout = self._parameters.settings.pair_timeout
-        if timeout and self.pairer.num_waiting and time.monotonic() - self._last_cloud_s > timeout:
-            self._take_events(self.pairer.flush())
+        with self.lock:
+            if timeout and self.pairer.num_waiting and time.monotonic() - self._last_cloud_s > timeout:
+                self._take_events(self.pairer.flush())
 
     def clear(self) -> None:
         """Forget everything that waits; clouds without a partner get their answer."""
-        self._take_events(self.pairer.clear())
+        with self.lock:
+            self._take_events(self.pairer.clear())
         self.guesses.clear()
         self.odometry.clear()
 
@@ -111,13 +116,15 @@ class Inputs:
         return Cloud(message, stamp_ns, now)
 
     def _on_scan(self, message: PointCloud2) -> None:
-        self._take(ScanJob(self._cloud("points", message)))
+        with self.lock:
+            self._take(ScanJob(self._cloud("points", message)))
 
     def _on_cloud(self, side: Side, message: PointCloud2) -> None:
-        cloud = self._cloud(side, message)
-        self.pairer.max_skew_ns = self._parameters.settings.max_skew_ns
-        add = self.pairer.add_source if side == "source" else self.pairer.add_target
-        self._take_events(add(cloud.stamp_ns, cloud))
+        with self.lock:
+            cloud = self._cloud(side, message)
+            self.pairer.max_skew_ns = self._parameters.settings.max_skew_ns
+            add = self.pairer.add_source if side == "source" else self.pairer.add_target
+            self._take_events(add(cloud.stamp_ns, cloud))
 
     def _on_guess(self, message: PoseWithCovarianceStamped) -> None:
         self._keep(self.guesses, message)

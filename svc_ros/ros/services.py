@@ -7,8 +7,10 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
+from rclpy.timer import Timer
 from std_srvs.srv import SetBool, Trigger
 
 from svc_ros.core.errors import SvcError
@@ -18,6 +20,8 @@ from svc_ros.ros.parameters import NodeParameters
 if TYPE_CHECKING:
     from svc_ros.ros.session import Session
 
+_ENDED = False, "the node was cleaned up or shut down"
+_ANSWERED_S = 0.1  # by then the executor has sent the answers that were ready before
 
 class Services:
     """`~/status`, `~/enable`, `~/reset`, `~/verify`, and in loop closure `~/save_graph`."""
@@ -25,6 +29,8 @@ class Services:
     def __init__(self, node: Node, parameters: NodeParameters, session: Session) -> None:
         self._node, self._parameters, self._session = node, parameters, session
         self._waiting: set[Future] = set()
+        self._last_answers: Timer | None = None
+        self._is_ended = False
         # A service that waits for the worker must not keep the node's other callbacks waiting.
         waits = ReentrantCallbackGroup()
         self._services = [
@@ -39,23 +45,37 @@ class Services:
             )
 
     def destroy(self) -> None:
-        """Answer what still waits, and give the services back."""
+        """Answer what still waits, and give the services back; if something waits, as soon as it has its answer."""
+        self._is_ended = True
+        if not self._waiting:
+            self._give_back()
+            return
         for future in list(self._waiting):
-            future.set_result((False, "the node is shutting down"))
+            future.set_result(_ENDED)
+        # The executor sends an answer after its callback has ended, and fails if there is no service any more.
+        self._waiting.clear()
+        self._last_answers = self._node.create_timer(
+            _ANSWERED_S, self._give_back, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+
+    def _give_back(self) -> None:
+        if self._last_answers is not None:
+            self._node.destroy_timer(self._last_answers)
         for service in self._services:
             self._node.destroy_service(service)
 
     def _on_status(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         session = self._session
-        status = {
-            "mode": self._parameters.settings.mode,
-            "preset": self._parameters.preset_name,
-            "method": self._parameters.config.method,
-            "received": {name: monitor.num_received for name, monitor in session.statistics.inputs.items()},
-            "lost": dict(session.statistics.num_lost),
-            **session.flow(),
-            **session.statistics.numbers(),
-        }
+        with session.inputs.lock:
+            status = {
+                "mode": self._parameters.settings.mode,
+                "preset": self._parameters.preset_name,
+                "method": self._parameters.config.method,
+                "received": {name: monitor.num_received for name, monitor in session.statistics.inputs.items()},
+                "lost": dict(session.statistics.num_lost),
+                **session.flow(),
+                **session.statistics.numbers(),
+            }
         response.success, response.message = True, json.dumps(status)
         return response
 
@@ -89,7 +109,7 @@ class Services:
 
     async def _answer(self, response: Trigger.Response, call: Callable[[], str]) -> Trigger.Response:
         """Let the worker call, and answer with what it returns or with the error."""
-        response.success, response.message = await self._on_worker(call)
+        response.success, response.message = _ENDED if self._is_ended else await self._on_worker(call)
         return response
 
     def _on_worker(self, call: Callable[[], str]) -> Any:

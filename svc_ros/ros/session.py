@@ -48,8 +48,8 @@ class Session:
         self.engine: Engine = self._make_engine()
         self.frames = Frames(node, settings)
         self.outputs = self._make_outputs(settings)
-        self.inputs = Inputs(node, parameters, self.statistics, self._take)
         self.worker = Worker(self._process, self._warm_up)
+        self.inputs = Inputs(node, parameters, self.statistics, self._take)
         self._services = Services(node, parameters, self)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Steady clocks: a timer on simulated time stops when the bag is paused.
@@ -144,7 +144,8 @@ class Session:
 
     def _tell(self) -> None:
         settings = self._parameters.settings
-        message = DiagnosticArray(status=statuses(self.statistics, self.flow(), settings.process_every))
+        with self.inputs.lock:
+            message = DiagnosticArray(status=statuses(self.statistics, self.flow(), settings.process_every))
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._diagnostics.publish(message)
         self.outputs.publish_path(settings)
