@@ -362,9 +362,72 @@ def test_a_scan_outside_the_reference_has_no_errors(bag, tmp_path):
 
 
 @pytest.mark.parametrize("mode", ["scan_matching", "loop_closure"])
-def test_modes_of_later_versions_are_refused_clearly(bag, tmp_path, mode):
-    refused = run("replay", bag, "--mode", mode, "--out", tmp_path / "out")
-    assert_refused(refused, mode, "not available in this version", "pair")
+def test_replay_of_a_stream_leaves_trajectory_graph_and_report(bag, tmp_path, mode):
+    reference = write_reference(tmp_path / "reference.txt", np.eye(4))
+    result = run("replay", bag, *PRESET, "--mode", mode, "--out", tmp_path / "out", "--reference", reference)
+    assert result.exit_code == 0, result.output
+    found = {path.name for path in (tmp_path / "out").iterdir()}
+    assert found == {"decisions.jsonl", "trajectory_tum.txt", "loops.g2o", "results.mcap", "config.yaml",
+                     "summary.json", "report.html"}  # fmt: skip
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert (summary["mode"], summary["num_scans"]) == (mode, 3)
+    last = result.stdout.splitlines()[-1]
+    assert last.startswith(f"{summary['num_decisions']} decisions on 3 scans")
+    assert ("false loops: 0" if mode == "loop_closure" else "false accepts: 0") in last
+    assert "times real time" in last
+    assert result.stderr == ""
+
+
+def test_several_bags_leave_a_folder_each(bag, tmp_path):
+    write_bag(tmp_path / "bags" / "b", (0, 1))
+    write_bag(tmp_path / "bags" / "a", (1, 0, 1))
+    (tmp_path / "bags" / "notes.txt").write_text("not a bag")
+    out = tmp_path / "out"
+    result = run("replay", tmp_path / "bags" / "*", bag, *PRESET, "--no-report", "--out", out)
+    assert result.exit_code == 0, result.output
+    assert sorted(path.name for path in out.iterdir()) == ["a", "b", "room", "summary.json"]
+    assert [len(read_jsonl(out / name / "decisions.jsonl")) for name in ("a", "b", "room")] == [2, 1, 2]
+    summary = json.loads((out / "summary.json").read_text())
+    assert (summary["num_bags"], summary["num_decisions"], summary["interrupted"]) == (3, 5, False)
+    assert [run["out"] for run in summary["runs"]] == ["a", "b", "room"]
+    assert "5 decisions on 8 scans" in result.stdout
+
+
+def test_a_bag_that_cannot_be_read_does_not_keep_the_others(bag, tmp_path):
+    (tmp_path / "cut.mcap").write_bytes(next(bag.glob("*.mcap")).read_bytes()[:5000])
+    result = run("replay", tmp_path / "cut.mcap", bag, *PRESET, "--no-report", "--out", tmp_path / "out")
+    assert result.exit_code == 2
+    assert result.stderr.startswith("error: 1 of 2 bags could not be replayed: ")
+    assert "cut.mcap" in result.stderr
+    assert len(read_jsonl(tmp_path / "out" / "room" / "decisions.jsonl")) == 2
+    runs = json.loads((tmp_path / "out" / "summary.json").read_text())["runs"]
+    assert [run["state"] for run in runs] == ["failed", "complete"]
+
+
+def test_parts_and_strides_of_a_bag(bag, tmp_path):
+    options = (*PRESET, "--no-report", "--out")
+    assert run("replay", bag, "--start", 1, *options, tmp_path / "late").exit_code == 0
+    assert [r["target_stamp_ns"] for r in read_jsonl(tmp_path / "late" / "decisions.jsonl")] == [START_NS + 10**9]
+    assert run("replay", bag, "--duration", 1.5, *options, tmp_path / "early").exit_code == 0
+    assert [r["target_stamp_ns"] for r in read_jsonl(tmp_path / "early" / "decisions.jsonl")] == [START_NS]
+    assert run("replay", bag, "--stride", 2, *options, tmp_path / "wide").exit_code == 0
+    assert [r["source_index"] for r in read_jsonl(tmp_path / "wide" / "decisions.jsonl")] == [2]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--start", -1], ["--start"]),
+        (["--start", 99], ["2.0 s", "99 s"]),
+        (["--duration", 0], ["duration above 0 s"]),
+        (["--max-rate", 0], ["rate above 0 Hz"]),
+        (["--odometry-frame", "odom"], ["--odometry-frame odom", "loop_closure"]),
+        (["--mode", "loop_closure", "--odometry-frame", "odom"], ["--odometry-frame odom", "none"]),
+        (["--reference-frame", "base"], ["--reference-frame base", "--reference"]),
+    ],
+)
+def test_replay_refuses_what_makes_no_sense(bag, tmp_path, options, words):
+    assert_refused(run("replay", bag, *options, "--out", tmp_path / "out"), *words)
     assert not (tmp_path / "out").exists()
 
 
@@ -389,10 +452,10 @@ def test_two_cloud_topics_need_a_name(tmp_path):
     assert_refused(run("replay", tmp_path / "two", "--out", tmp_path / "out"), "/front", "/rear")
 
 
-def test_ctrl_c_leaves_complete_outputs(tmp_path):
+def test_ctrl_c_leaves_complete_outputs_that_can_be_continued(tmp_path):
     bag = write_bag(tmp_path / "long", (0, 1, 2, 1) * 12)
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "svc_ros", "replay", str(bag), *PRESET, "--out", str(out)]
+    command = [sys.executable, "-m", "svc_ros", "replay", str(bag), *PRESET, "--no-report", "--out", str(out)]
     environment = {**os.environ, "PYTHONPATH": str(PROJECT_ROOT)}
     process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
@@ -406,6 +469,14 @@ def test_ctrl_c_leaves_complete_outputs(tmp_path):
     rows = read_jsonl(out / "decisions.jsonl")
     assert 2 <= len(rows) < 47
     assert mcap_counts(out / "results.mcap")["/svc_registration/decision"] == len(rows)
+    assert json.loads((out / "summary.json").read_text())["state"] == "interrupted"
+    assert_refused(run("replay", bag, *PRESET, "--stride", 2, "--resume", "--out", out), "--resume", "stride")
+    result = run("replay", bag, *PRESET, "--no-report", "--resume", "--out", out)
+    assert result.exit_code == 0, result.output
+    continued = read_jsonl(out / "decisions.jsonl")
+    assert [row["source_index"] for row in continued] == list(range(1, 48))
+    assert continued[: len(rows)] == rows
+    assert mcap_counts(out / "results.mcap")["/svc_registration/decision"] == 47
 
 
 def wait_for_lines(path: Path, count: int, process: subprocess.Popen) -> None:

@@ -22,15 +22,16 @@ def expand_bags(patterns: Sequence[str]) -> list[Path]:
 
     Of what a pattern matches, only what looks like a bag counts. Raises InputError for a name or pattern without one.
     """
-    found: dict[Path, None] = {}
+    found: dict[Path, Path] = {}
     for pattern in patterns:
         matches = [Path(pattern)]
         if not Path(pattern).exists() and glob.has_magic(pattern):
             matches = [path for path in map(Path, sorted(glob.glob(pattern, recursive=True))) if _looks_like_bag(path)]
             if not matches:
                 raise InputError(f"{pattern}: expected bags, found nothing that matches and is one")
-        found |= dict.fromkeys(matches)
-    return list(found)
+        for path in matches:
+            found.setdefault(path.resolve(), path)
+    return list(found.values())
 
 
 def _looks_like_bag(path: Path) -> bool:
