@@ -119,6 +119,7 @@ class TestContent:
     def test_reasons_come_in_words(self, page):
         told = data_of(page)["told"]
         assert told[str(REJECTED)]["words"].startswith("one scan has surface where the other looked through")
+        assert told["0"]["words"].startswith("both scans see the same surfaces")
         assert told[str(REFUSED)]["words"] == "too few points after range crop and voxel grid"
 
     def test_an_empty_folder_gives_a_page_that_says_what_is_missing(self, tmp_path):
@@ -280,3 +281,9 @@ def test_a_view_holds_its_one_pair(tmp_path):
     data = data_of(tmp_path / "v.html")
     assert (data["kind"], data["title"], len(data["scenes"])) == ("view", "a pair", 1)
     assert data["told"]["0"]["verdict"] == "rejected"
+
+
+@pytest.mark.parametrize("name", ["report", "report_dark", "report_phone"])
+def test_pictures_of_a_report_are_small(name):
+    picture = Path(__file__).resolve().parent.parent / "docs" / "images" / f"{name}.png"
+    assert 20_000 < picture.stat().st_size < 400_000

@@ -13,7 +13,7 @@ import numpy as np
 from svc_ros.core.config import Config, preset
 from svc_ros.core.errors import InputError
 from svc_ros.core.result import Reason, Verdict
-from svc_ros.evaluation.reasons import REASON_TEXTS
+from svc_ros.evaluation.reasons import REASON_TEXTS, VERDICT_TEXTS
 from svc_ros.evaluation.sight_lines import choose_evenly
 from svc_ros.io.config_yaml import read_config
 from svc_ros.io.results import read_jsonl
@@ -80,6 +80,8 @@ def verdict_of(record: Record) -> Verdict:
 def words_of(record: Record) -> str:
     """The reason in words; of a code that this version does not know, the code itself."""
     code = str(record.get("reason", ""))
+    if code == Reason.OK.value:
+        return VERDICT_TEXTS[Verdict.ACCEPTED]
     return REASON_TEXTS[Reason(code)].meaning if code in {reason.value for reason in Reason} else code
 
 

@@ -1,5 +1,7 @@
 // The flat plots: verdicts over time, evidence, times by stage, the way from above.
-const FLOOR = 0.0003; // smallest blocked share on the logarithmic axis
+const FLOOR = 0.0003; // smallest blocked share that the logarithmic axis shows
+const TICKS = [FLOOR, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1];
+const height = (blocked) => Math.log10(Math.max(blocked, FLOOR)); // the axis itself is linear: shapes are true only there
 
 function decisionRows() {
   const d = data.decisions;
@@ -100,34 +102,34 @@ function drawTimeline() {
 
 function drawEvidence() {
   const rows = decisionRows().filter((row) => row.overlap !== null);
-  const y = (row) => Math.max(row.blocked, FLOOR);
+  const y = (row) => height(row.blocked);
   const border = data.border;
   places.evidence = placesOf(rows, (row) => row.overlap, y);
   const traces = [];
-  const most = Math.max(0.5, ...rows.map(y)) * 1.25;
-  const outer = border ? border.outer.map((value) => Math.max(value, FLOOR)) : [];
+  const bottom = height(FLOOR) - 0.1, top = Math.max(height(0.5), ...rows.map(y)) + 0.1;
+  const outer = border ? border.outer.map(height) : [], inner = border ? border.inner.map(height) : [];
   if (border) {
     const area = (line, upper, colour) => traces.push({
       type: "scatter", mode: "lines", hoverinfo: "skip", line: { width: 0 }, fill: "toself", fillcolor: css(colour),
       x: [...border.overlap, ...[...border.overlap].reverse()], y: [...line, ...[...upper].reverse()],
     });
     const flat = (value) => border.overlap.map(() => value);
-    area(outer, flat(most), "tint-no");
-    area(border.inner, outer.map((value, k) => Math.max(value, border.inner[k])), "tint-maybe");
-    area(flat(FLOOR * 0.8), border.inner, "tint-yes");
-    traces.push({ type: "scatter", mode: "lines", hoverinfo: "skip", x: [0, border.min_overlap, border.min_overlap, 0], y: [FLOOR * 0.8, FLOOR * 0.8, most, most], line: { width: 0 }, fill: "toself", fillcolor: css("tint-none") });
+    area(outer, flat(top), "tint-no");
+    area(inner, outer, "tint-maybe");
+    area(flat(bottom), inner, "tint-yes");
+    traces.push({ type: "scatter", mode: "lines", hoverinfo: "skip", x: [0, border.min_overlap, border.min_overlap, 0], y: [bottom, bottom, top, top], line: { width: 0 }, fill: "toself", fillcolor: css("tint-none") });
     const line = (values, dash) => traces.push({ type: "scatter", mode: "lines", hoverinfo: "skip", x: border.overlap, y: values, line: { color: css("soft"), width: 1.5, dash } });
     line(outer, "solid");
-    line(border.inner, "dash");
+    line(inner, "dash");
   }
   const narrow = byId("evidence").clientWidth < 420; // a phone: there the note below the plot has to do
-  const label = (x, y, text, more = {}) => ({ x, y: Math.log10(y), text, showarrow: false, font: { size: 12, color: css("soft") }, xanchor: "right", ...more });
+  const label = (x, y, text, more = {}) => ({ x, y, text, showarrow: false, font: { size: 12, color: css("soft") }, xanchor: "right", ...more });
   draw("evidence", traces.concat(verdictTraces(rows, (row) => row.overlap, y)), layout({
     xaxis: axis("oriented overlap", { range: [0, 1.02] }), shapes: [ring("evidence")],
-    yaxis: axis("blocked share of the sight lines", { type: "log", range: [Math.log10(FLOOR * 0.8), Math.log10(most)], tickvals: [0.0003, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1], ticktext: ["≤ 0.0003", "0.001", "0.003", "0.01", "0.03", "0.1", "0.3", "1"] }),
+    yaxis: axis("blocked share of the sight lines", { range: [bottom, top], tickvals: TICKS.map(height), ticktext: TICKS.map((value) => (value === FLOOR ? `≤ ${value}` : String(value))) }),
     annotations: border && !narrow ? [
-      label(0.99, most * 0.8, "never accepted"), label(0.99, Math.sqrt(outer.at(-1) * border.inner.at(-1)), "other evidence decides"), label(0.99, border.inner.at(-1) * 0.45, "never rejected for it"),
-      label(border.min_overlap / 2, 0.012, "too little overlap", { textangle: -90, xanchor: "center" }),
+      label(0.99, top - 0.12, "never accepted"), label(0.99, (outer.at(-1) + inner.at(-1)) / 2, "other evidence decides"), label(0.99, inner.at(-1) - 0.35, "never rejected for it"),
+      label(border.min_overlap / 2, (bottom + top) / 2, "too little overlap", { textangle: -90, xanchor: "center" }),
     ] : [],
     margin: { l: 64, r: 12, t: 8, b: 44 },
   }));

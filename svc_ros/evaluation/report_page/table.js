@@ -4,20 +4,20 @@ function fillFacts() {
   facts.replaceChildren();
   const record = data.told[chosenIndex];
   if (!record) return;
-  const reason = data.reasons[record.reason] || { meaning: record.reason, advice: "" };
+  const advice = (data.reasons[record.reason] || {}).advice;
   const evidence = record.evidence || {};
   if (data.kind === "report") facts.append(make("h3", "", `Decision ${chosenIndex}`));
-  facts.append(verdictBadge(record.verdict), make("p", "words", `${reason.meaning}.`), make("p", "code", `${record.reason}: ${record.detail || "no detail"}`));
-  if (record.verdict !== "accepted" && reason.advice) facts.append(make("p", "advice", `What to do: ${reason.advice}.`));
+  facts.append(verdictBadge(record.verdict), make("p", "words", `${record.words}.`), make("p", "code", `${record.reason}: ${record.detail || "no detail"}`));
+  if (record.verdict !== "accepted" && advice) facts.append(make("p", "advice", `What to do: ${advice}.`));
   const rows = [["Probability of a right pose", share(record.probability)]];
   const told = (name, key, digits = 4) => { if (key in evidence) rows.push([name, share(evidence[key], digits)]); };
   told("Oriented overlap", "oriented_overlap_ratio", 3);
-  told("Blocked, target's sight lines", "blocked_ratio_source_in_target");
-  told("Blocked, source's sight lines", "blocked_ratio_target_in_source");
-  told("Surfaces seen from both sides", "opposed_ratio");
+  told("Blocked, target's lines", "blocked_ratio_source_in_target");
+  told("Blocked, source's lines", "blocked_ratio_target_in_source");
+  told("Seen from both sides", "opposed_ratio");
   told("Filled free space, target's", "free_blocked_ratio_source_in_target");
   told("Filled free space, source's", "free_blocked_ratio_target_in_source");
-  if (typeof record.translation_error_m === "number") rows.push(["Error against the reference", `${record.translation_error_m.toFixed(2)} m, ${record.rotation_error_deg.toFixed(2)}°`]);
+  if (typeof record.translation_error_m === "number") rows.push(["Error of the pose", `${record.translation_error_m.toFixed(2)} m, ${record.rotation_error_deg.toFixed(2)}°`]);
   if (record.origin) rows.push(["Pose came from", record.origin]);
   if (record.method) rows.push(["Method", record.method]);
   if (record.time_ms && record.time_ms.total) rows.push(["Time", `${record.time_ms.total.toFixed(0)} ms`]);
@@ -45,7 +45,7 @@ function fillWorst() {
     return;
   }
   const withError = data.worst.some(({ line }) => typeof data.told[line].translation_error_m === "number");
-  byId("worst-hint").textContent = `The ${data.worst.length} most telling ones of each kind together: ${withError ? "farthest from the reference, " : ""}least sure, nearest to acceptance, most blocked, not registrable.`;
+  byId("worst-hint").textContent = `${data.worst.length} of ${whole(totalDecisions())} decisions, the most telling ones of each kind.`;
   const heads = ["Decision", "Verdict", "Reason in words", "Probability", "Overlap", "Blocked", ...(withError ? ["Error"] : []), "3D"];
   const table = make("table", "worst");
   const head = make("tr");
@@ -53,17 +53,23 @@ function fillWorst() {
   const thead = make("thead");
   thead.append(head);
   const body = make("tbody");
-  data.worst.forEach((entry) => body.append(worstRow(entry, withError)));
+  data.worst.forEach((entry, k) => {
+    if (!k || data.worst[k - 1].why !== entry.why) {
+      const kind = make("tr", "kind");
+      kind.append(make("th", "", entry.why, { colspan: heads.length, scope: "colgroup" }));
+      body.append(kind);
+    }
+    body.append(worstRow(entry, withError));
+  });
   table.append(thead, body);
   place.append(table);
 }
 
-function worstRow({ line, why }, withError) {
+function worstRow({ line }, withError) {
   const record = data.told[line];
   const row = make("tr", "", "", { "data-line": line });
   const cell = (classes, text, label = "") => { const td = make("td", classes, text, label ? { "data-label": label } : {}); row.append(td); return td; };
-  const first = cell("", `# ${line}`);
-  first.append(make("div", "why", why));
+  cell("", `# ${line}`);
   cell("", "").append(verdictBadge(record.verdict));
   const words = cell("", "");
   words.append(make("div", "words", `${record.words}.`), make("div", "detail", record.detail || ""));

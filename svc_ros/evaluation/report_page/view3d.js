@@ -19,7 +19,7 @@ function cloudTrace(side, name, layer) {
   return {
     type: "scatter3d", mode: "markers", name, hoverinfo: "skip", visible: !hidden.has(layer),
     x: every3(side.points, 0), y: every3(side.points, 1), z,
-    marker: { size: 1.2, color: z, cmin: sorted[Math.floor(0.05 * sorted.length)], cmax: sorted[Math.floor(0.95 * sorted.length)],
+    marker: { size: 1.2 / narrowness(), color: z, cmin: sorted[Math.floor(0.05 * sorted.length)], cmax: sorted[Math.floor(0.95 * sorted.length)],
       colorscale: [[0, css(`${layer}-low`)], [1, css(layer)]], showscale: false },
   };
 }
@@ -64,13 +64,19 @@ function measure(scene) {
   return { low, high, radius: Math.max(2, ranges[Math.floor(0.9 * ranges.length)] || 2), ground: heights[Math.floor(0.05 * heights.length)] || 0 };
 }
 
+// At least 1, and more on a phone, which sees less to the sides and has to stand farther back.
+function narrowness() {
+  const box = byId("view3d");
+  return Math.max(1, (1.25 * box.clientHeight) / Math.max(box.clientWidth, 1));
+}
+
 function sceneLayout(size, scene) {
   const span = size.high.map((value, k) => Math.max(value - size.low[k], 0.5));
   const longest = Math.max(...span);
   const middle = size.high.map((value, k) => (value + size.low[k]) / 2);
   const focus = scene.target.origin.map((value, k) => ((value + scene.source.origin[k]) / 2 - middle[k]) / longest);
   focus[2] = (size.ground - middle[2]) / longest;
-  const reach = (2.1 * size.radius) / longest;
+  const reach = (1.75 * narrowness() * size.radius) / longest;
   const eye = CAMERAS[camera].map((value, k) => focus[k] + value * reach);
   const blank = (k) => ({ visible: false, range: [size.low[k], size.high[k]], showspikes: false });
   return {
@@ -93,9 +99,9 @@ function traces3d(scene, size) {
     { type: "scatter3d", mode: "lines", name: "rings", hoverinfo: "skip", x: rings.x, y: rings.y, z: rings.z, line: { color: css("ring"), width: 1 } },
     cloudTrace(scene.target, "target", "target"),
     cloudTrace(scene.source, "source", "source"),
-    lineTrace(sides, "clear", "clear", { line: { color: css("clear"), width: 1 }, opacity: 0.28 }),
+    lineTrace(sides, "clear", "clear", { line: { color: css("clear"), width: 1 }, opacity: 0.4 }),
     lineTrace(sides, "blocked", "blocked", { line: { color: css("blocked"), width: 1.5 }, opacity: 0.45 }),
-    { type: "scatter3d", mode: "markers", name: "blockers", hoverinfo: "skip", visible: !hidden.has("blocked"), ...blockers, marker: { size: 1.9, color: css("blocked") } },
+    { type: "scatter3d", mode: "markers", name: "blockers", hoverinfo: "skip", visible: !hidden.has("blocked"), ...blockers, marker: { size: 1.9 / narrowness(), color: css("blocked") } },
     origin(scene.target, "target sensor", css("origin")),
     origin(scene.source, "source sensor", css("source")),
   ] };
