@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from svc_ros.cli.main import app
 from svc_ros.core import se3
+from svc_ros.evaluation import suite_reference
 from svc_ros.io.correspondence_files import write_correspondences
 
 
@@ -141,3 +142,18 @@ def test_wrong_words_are_told_in_one_line(room, words, message):
     text = run(room, *words, code=2)
     assert message in text
     assert text.count("\n") == 1
+
+
+def test_the_page_tells_every_suite_definition_and_key():
+    from svc_ros.io import correspondence_files
+    from svc_ros.io.suites import SUITES, kitti, threedmatch
+
+    page = (Path(__file__).resolve().parent.parent / "docs" / "benchmarks.md").read_text("utf-8")
+    keys = [key for pair in correspondence_files._KEYS for key in pair]
+    names = [c.name for c in (*kitti.CRITERIA, *threedmatch.CRITERIA)]
+    assert [name for name in (*SUITES, *names, *keys, "distance", "corr_scores") if f"`{name}`" not in page] == []
+    assert f"{suite_reference.VOXEL_SIZE_M} m grid, pairs within {suite_reference.MAX_DISTANCE_M} m" in page
+
+
+def test_workers_and_scheduler_exclude_each_other(room):
+    assert "either --workers or --scheduler" in run(room, "--workers", "2", "--scheduler", "local", code=2)

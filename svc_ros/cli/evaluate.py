@@ -21,6 +21,7 @@ from svc_ros.cli.options import (
     Settings,
     resolve_settings,
 )
+from svc_ros.core.errors import InputError
 
 if TYPE_CHECKING:
     from svc_ros.evaluation.runner import Crew
@@ -59,6 +60,8 @@ def evaluate(
 ) -> None:
     """Register every pair of a data set and compare with its references; judge its labelled poses too."""
     check_json_target(json_target)
+    if scheduler is not None and workers != 1:
+        raise InputError("evaluate: expected either --workers or --scheduler, found both")
     datasets = [_read(folder, suite, correspondences, refined, scheduler) for folder in folders]
     settings = [resolve_settings(preset, method, config_file, default_preset=d.preset) for d in datasets]
     crew = workers if scheduler is None else _crew(scheduler, datasets)
@@ -79,7 +82,6 @@ def evaluate(
 def _read(folder: Path, suite: str | None, given: Path | None, refined: Path | None, scheduler: str | None) -> Dataset:
     import dataclasses
 
-    from svc_ros.core.errors import InputError
     from svc_ros.io.datasets import read_dataset
     from svc_ros.io.suites import read_suite
 

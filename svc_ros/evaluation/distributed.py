@@ -38,7 +38,7 @@ def run_over(
     workers need this package in this version, one thread each, and the `paths`. Function and items are pickled; each
     worker does one item at a time, its kernels on one thread. `on_done(index, answer)` is called as items end.
 
-    What a lost worker had to do is done by another one; an item that takes three workers down raises SvcError. An
+    What a lost worker had to do is done by another one; an item that takes four workers down raises SvcError. An
     exception of an item is raised as a serial run would: that of the first one in order. Raises InputError for workers
     that cannot do the work, SvcError where the scheduler or its workers do not answer, MissingDependencyError.
     """
