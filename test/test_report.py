@@ -19,7 +19,7 @@ from svc_ros.core.errors import InputError, MissingDependencyError
 from svc_ros.core.evidence import SightLines, SightViewEvidence
 from svc_ros.core.result import Verdict
 from svc_ros.evaluation.report import write_report, write_view
-from svc_ros.evaluation.report_data import Run, choose_drawn, read_run, verdict_of, worst_decisions
+from svc_ros.evaluation.report_data import Run, choose_drawn, read_run, verdict_of, verdict_strip, worst_decisions
 from svc_ros.evaluation.report_plots import decision_border, map_from_above, stage_times
 from svc_ros.evaluation.scenes import make_scene
 from svc_ros.io.results import read_jsonl, result_to_json, write_jsonl
@@ -165,6 +165,26 @@ class TestThinning:
         assert len(data["decisions"]["line"]) < 3100
 
 
+class TestStrip:
+    def test_all_decisions_are_counted_where_they_belong(self):
+        verdicts = ["accepted", "accepted", "rejected", "accepted"]
+        stamps = [START_NS + second * 10**9 for second in (0, 1, 2, 8)]
+        found = verdict_strip([record(v, source_stamp_ns=s) for v, s in zip(verdicts, stamps, strict=True)])
+        assert (found["start"], found["width"]) == ([0.0, 2.0, 4.0, 6.0], 2.0)
+        assert found["counts"]["accepted"] == [2, 0, 0, 1]
+        assert found["counts"]["rejected"] == [0, 1, 0, 0]
+
+    def test_a_long_run_is_counted_whole_in_few_parts(self):
+        found = verdict_strip([record("rejected" if k >= 4000 else "accepted") for k in range(5000)])
+        assert len(found["start"]) == 200
+        assert sum(found["counts"]["accepted"]) == 4000
+        assert found["counts"]["rejected"][:159] == [0] * 159
+
+    def test_a_run_of_nothing_or_of_one_has_a_strip(self):
+        assert verdict_strip([])["counts"]["accepted"] == [0]
+        assert verdict_strip([record(source_stamp_ns=START_NS)])["counts"]["accepted"] == [1]
+
+
 class TestWorst:
     def test_each_kind_has_its_own_order_and_none_comes_twice(self):
         def judged_record(verdict, probability, blocked):
@@ -242,6 +262,12 @@ class TestMap:
         turn = se3.make_pose([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], [50.0, 7.0, 1.0])
         reference = Trajectory(way(6).stamps_ns, turn @ way(6).poses)
         found = map_from_above(Run([], trajectory=way(6)), reference, [])
+        np.testing.assert_allclose(found["reference"], found["way"], atol=0.01)
+
+    def test_what_the_reference_tells_of_before_and_after_is_left_out(self):
+        whole = way(9)
+        part = Trajectory(whole.stamps_ns[2:6], whole.poses[2:6])
+        found = map_from_above(Run([], trajectory=part), whole, [])
         np.testing.assert_allclose(found["reference"], found["way"], atol=0.01)
 
     def test_a_reference_along_a_straight_line_is_turned_by_its_first_pose(self):

@@ -22,6 +22,7 @@ from svc_ros.evaluation.report_data import (
     decision_columns,
     read_run,
     verdict_of,
+    verdict_strip,
     words_of,
     worst_decisions,
 )
@@ -54,6 +55,7 @@ def write_report(path: Path, folder: Path, scenes: Sequence[Scene], reference: T
         "notes": list(run.notes),
         "summary": _flat(run.summary),
         "decisions": decision_columns(run.records, drawn),
+        "strip": verdict_strip(run.records),
         "border": decision_border(run.config or preset("lidar_outdoor")),
         "times": stage_times(run.records),
         "map": map_from_above(run, reference, drawn),

@@ -19,6 +19,7 @@ from svc_ros.io.config_yaml import read_config
 from svc_ros.io.results import read_jsonl
 from svc_ros.io.trajectories import Trajectory, read_tum
 
+MAX_BINS = 200  # of the strip that shows the order of verdicts
 MAX_DRAWN = 3000  # decisions in the plots: what a phone still draws at once
 _WAYS = ("source_in_target", "target_in_source")
 
@@ -129,6 +130,21 @@ def decision_columns(records: Sequence[Record], drawn: Sequence[int]) -> dict[st
     ]
     names = ("line", "time_s", "verdict", "reason", "probability", "overlap", "blocked")
     return {name: [row[name] for row in rows] for name in names}
+
+
+def verdict_strip(records: Sequence[Record]) -> dict[str, Any]:
+    """How many decisions of each verdict fall into each of at most MAX_BINS equal parts of the run; all are counted.
+
+    The run is measured in seconds since its first stamp, or in decisions where not every one has a stamp.
+    """
+    stamps = np.array([int(record.get("source_stamp_ns") or 0) for record in records], np.int64)
+    is_timed = len(stamps) > 0 and bool(stamps.min() > 0) and bool(np.ptp(stamps) > 0)
+    places = 1e-9 * (stamps - stamps.min()) if is_timed else np.arange(len(records), dtype=np.float64)
+    num_bins = max(1, min(MAX_BINS, len(records)))
+    edges = np.linspace(0.0, float(places.max(initial=0.0)) or 1.0, num_bins + 1)
+    verdicts = np.array([verdict_of(record).value for record in records])
+    counts = {v.value: np.histogram(places[verdicts == v.value], edges)[0].tolist() for v in Verdict}
+    return {"start": edges[:-1].round(3).tolist(), "width": round(float(edges[1]), 4), "counts": counts}
 
 
 def _rounded(value: float | None, digits: int) -> float | None:

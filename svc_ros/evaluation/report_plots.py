@@ -154,9 +154,10 @@ def _place(way: Trajectory, stamp_ns: int) -> list[float] | None:
 
 
 def _moved_onto(reference: Trajectory, way: Trajectory | None) -> Trajectory | None:
-    """The reference after the rigid motion that brings it nearest to the way at the way's stamps."""
+    """The reference during the way, after the rigid motion that brings it nearest to the way at the way's stamps."""
     if way is None:
         return None
+    during = (reference.stamps_ns >= way.stamps_ns[0]) & (reference.stamps_ns <= way.stamps_ns[-1])
     inside = (way.stamps_ns >= reference.stamps_ns[0]) & (way.stamps_ns <= reference.stamps_ns[-1])
     stamps = choose_evenly(way.stamps_ns[inside], MAX_PATH_POINTS)
     if len(stamps) < 3:
@@ -166,7 +167,7 @@ def _moved_onto(reference: Trajectory, way: Trajectory | None) -> Trajectory | N
     T, determined = se3.kabsch(from_places[None], to_places[None], np.ones((1, len(stamps))))
     if not determined[0]:  # a straight way: its first pose says how it is turned
         T = (way.at(int(stamps[0])) @ se3.invert(reference.at(int(stamps[0]))))[None]
-    return Trajectory(reference.stamps_ns, T[0] @ reference.poses)
+    return Trajectory(reference.stamps_ns[during], T[0] @ reference.poses[during])
 
 
 def _xy(way: Trajectory | None) -> list[list[float]]:

@@ -66,6 +66,22 @@ function draw(id, traces, plotLayout) {
   });
 }
 
+// All decisions of every part of the run, as the shares of their verdicts; it stands above the marks.
+function stripTraces() {
+  const { start, width, counts } = data.strip;
+  const sums = start.map((_, k) => VERDICTS.reduce((sum, verdict) => sum + counts[verdict][k], 0) || 1);
+  const base = start.map(() => 1.07);
+  return VERDICTS.map((verdict) => {
+    const parts = counts[verdict].map((count, k) => (0.1 * count) / sums[k]);
+    const trace = {
+      type: "bar", x: start.map((x) => x + width / 2), y: parts, base: [...base], width, marker: { color: css(verdict), line: { width: 0 } },
+      customdata: start.map(() => undefined), hovertemplate: `%{text} ${verdict}<extra></extra>`, text: counts[verdict].map(String), textposition: "none",
+    };
+    parts.forEach((part, k) => { base[k] += part; });
+    return trace;
+  });
+}
+
 function drawTimeline() {
   const rows = decisionRows();
   const timed = rows.some((row) => row.time !== null);
@@ -74,13 +90,7 @@ function drawTimeline() {
   const y = (row) => (row.probability === null ? -0.14 : row.probability);
   const traces = verdictTraces(rows, x, y);
   places.timeline = placesOf(rows, x, y);
-  for (const verdict of VERDICTS) {
-    const some = rows.filter((row) => row.verdict === verdict);
-    traces.unshift({
-      type: "scatter", mode: "markers", hoverinfo: "skip", x: some.map(x), y: some.map(() => 1.13),
-      marker: { symbol: "line-ns-open", size: 10, color: css(verdict), line: { width: 2, color: css(verdict) } },
-    });
-  }
+  traces.unshift(...stripTraces());
   const ticks = [0, 0.25, 0.5, 0.75, 1];
   draw("timeline", traces, layout({
     xaxis: axis(timed ? "time since the first scan [s]" : "decision", { showgrid: false }),
@@ -89,14 +99,14 @@ function drawTimeline() {
       ticktext: (unjudged ? ["not judged"] : []).concat(ticks.map(String)),
     }),
     shapes: [ring("timeline"), { type: "line", xref: "paper", x0: 0, x1: 1, y0: 0.5, y1: 0.5, line: { color: css("soft"), width: 1, dash: "dot" } }],
-    margin: { l: 56, r: 12, t: 4, b: 40 },
+    margin: { l: 56, r: 12, t: 4, b: 40 }, barmode: "overlay", bargap: 0,
   }));
   const drawn = rows.length;
   const total = totalDecisions();
   const thinned = drawn < total;
   byId("timeline-note").textContent =
     `${whole(drawn)} of ${whole(total)} decisions drawn${thinned ? ", in all plots alike: those not accepted have the first claim, the others are chosen evenly" : ""}; ` +
-    `${data.scenes.length < total ? `${whole(data.scenes.length)} of ${whole(total)} kept for 3D, those with a ring` : "all of them kept for 3D"}. The strip on top shows the order of verdicts.`;
+    `${data.scenes.length < total ? `${whole(data.scenes.length)} of ${whole(total)} kept for 3D, those with a ring` : "all of them kept for 3D"}. The strip on top counts all of them: the share of each verdict in ${data.strip.start.length} equal parts of the run.`;
   describe("timeline", `Verdicts over time: ${VERDICTS.map((v) => `${data.counts[v]} ${v}`).join(", ")}.`);
 }
 

@@ -36,10 +36,10 @@ function lineTrace(sides, part, layer, style) {
   return { type: "scatter3d", mode: "lines", name: layer, hoverinfo: "skip", visible: !hidden.has(layer), x, y, z, ...style };
 }
 
-function ringTraces(scene, size) {
-  const spacing = [1, 2, 5, 10, 20, 50, 100].find((step) => size / step <= 4) || 200;
+function ringsAround(scene, size) {
+  const spacing = [1, 2, 5, 10, 20, 50, 100].find((step) => size.radius / step <= 4) || 200;
   const z = size.ground, x = [], y = [], zs = [];
-  for (let radius = spacing; radius <= size * 1.05; radius += spacing) {
+  for (let radius = spacing; radius <= size.radius * 1.05; radius += spacing) {
     for (let k = 0; k <= 72; k += 1) {
       x.push(scene.target.origin[0] + radius * Math.cos((k * Math.PI) / 36));
       y.push(scene.target.origin[1] + radius * Math.sin((k * Math.PI) / 36));
@@ -88,7 +88,7 @@ function sceneLayout(size, scene) {
 
 function traces3d(scene, size) {
   const sides = [scene.target, scene.source];
-  const rings = ringTraces(scene, Object.assign(new Number(size.radius), { ground: size.ground }));
+  const rings = ringsAround(scene, size);
   const blockers = { x: [], y: [], z: [] };
   for (const side of sides) ["x", "y", "z"].forEach((name, k) => blockers[name].push(...every3(side.blockers, k)));
   const origin = (side, name, colour) => ({
