@@ -112,9 +112,9 @@ def read_given_set(folder: Path) -> Dataset:
     )  # fmt: skip
 
 
-def choose_pairs(dataset: Dataset, limit: int | None) -> list[Pair]:
+def choose_pairs(dataset: Dataset, limit: int) -> list[Pair]:
     """At most `limit` pairs with a reference, evenly over their overlaps or, where these are not known, the list."""
-    return dataset.pairs if limit is None else choose(dataclasses.replace(dataset, negatives=[]), limit)
+    return choose(dataclasses.replace(dataset, negatives=[]), limit)
 
 
 def read_inputs(dataset: Dataset, pair: Pair, config: Config) -> tuple[Features, Features, Correspondences | None]:

@@ -163,7 +163,7 @@ def draw(table: Table, path: Path) -> None:
     axes.set_xticks(range(len(shown)), labels)
     axes.set(ylim=(0.0, 1.05), ylabel="F1", title="Table 5; black lines: the paper, on the whole benchmark")
     axes.grid(axis="y", alpha=0.3)
-    axes.legend(loc="lower right")
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     figure.savefig(path, dpi=130)
     console.print(f"wrote {path}")
 

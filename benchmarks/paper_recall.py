@@ -58,7 +58,7 @@ def main() -> None:
 def extend(parser: argparse.ArgumentParser) -> None:
     """Options of this script."""
     add_benchmarks(parser)
-    parser.add_argument("--limit", type=int, metavar="N", help="pairs of each column, evenly chosen; else all")
+    parser.add_argument("--limit", type=int, default=6, metavar="N", help="pairs of each column, evenly over overlap")
 
 
 def tabulate(columns: Sequence[Column], reports: Sequence[Mapping[str, Any]]) -> Table:
@@ -116,7 +116,7 @@ def draw(table: Table, path: Path) -> None:
     axes.set(ylim=(0.0, 105.0), ylabel="registration recall [%]")
     axes.set_title("Tables 1 to 3; black lines: the paper, on the whole benchmark")
     axes.grid(axis="y", alpha=0.3)
-    axes.legend(loc="lower right")
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     figure.savefig(path, dpi=130)
     console.print(f"wrote {path}")
 

@@ -81,6 +81,7 @@ def test_recall_has_a_column_for_what_is_there(monkeypatch, data, tmp_path):
 def test_recall_of_a_whole_benchmark_has_its_own_definitions(monkeypatch, data, tmp_path):
     import paper_recall
 
+    monkeypatch.setattr(paper_recall, "METHODS", ("sc2",))
     root = folders.write_3dlomatch(tmp_path / "lo")
     report = run_main(paper_recall, monkeypatch, data, tmp_path, "--3dlomatch", root, "--limit", 1, "--workers", 1)
     column = report["recall"]["3DLoMatch FPFH"]["sc2"]
@@ -125,3 +126,31 @@ def test_time_compares_before_it_measures(monkeypatch, data, tmp_path):
     assert [len(values["time_ms"]) for values in report["time_ms"].values()] == [2] * 4
     assert report["published_ms"]["10000"] == 16.28
     assert len(report["curves"]) == 2  # a right pose and a wrong one
+
+
+@pytest.mark.slow
+def test_spread_evaluations_are_compared_with_the_serial_one(monkeypatch, data, tmp_path):
+    pytest.importorskip("distributed")
+    import cluster
+
+    words = ["cluster.py", "--data", str(data), "--out", str(tmp_path), "--sets", "rgbd_redkitchen"]
+    monkeypatch.setattr(sys, "argv", words)
+    cluster.main()
+    report = json.loads((tmp_path / "cluster.json").read_text())
+    assert report["same_report"] is True
+    assert report["sets"] == {"rgbd_redkitchen": {"num_pairs": 2, "num_labelled_poses": 2}}
+    names = [run["run"] for run in report["runs"]]
+    assert names == ["serial", "processes", "dask, local", "dask, a worker killed"]
+    assert report["runs"][3]["killed_after"] in (1, 2, 3)
+
+
+def test_a_spread_evaluation_that_says_something_else_is_an_error():
+    import cluster
+
+    one = {"dataset": "a", "time_ms": 1, "registration": {"pairs": [{"verdict": "accepted", "time_ms": 3}]},
+           "negatives": None, "decision": None}  # fmt: skip
+    slower = json.loads(json.dumps(one).replace("3", "5"))
+    cluster.require_same("slower", [one], [slower])
+    other = json.loads(json.dumps(one).replace("accepted", "rejected"))
+    with pytest.raises(cluster.DifferentReportError, match="other: a differs from the serial run: registration"):
+        cluster.require_same("other", [one], [other])
