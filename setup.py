@@ -90,7 +90,7 @@ setup(
         ],
         "las": ["laspy[lazrs]>=2.5"],
         "cluster": ["distributed>=2024.5"],
-        "report": ["plotly>=5.20", "matplotlib>=3.8"],
+        "report": ["plotly>=5.20", "matplotlib>=3.8", "evo>=1.30"],
         # kiss-matcher has wheels for these only, and its sources need a C++ build.
         "compare": ["kiss-matcher>=1.0; python_version < '3.13' and platform_machine == 'x86_64'", "small-gicp>=1.0"],
         "dev": ["ruff>=0.6", "mypy>=1.10", "types-PyYAML"],

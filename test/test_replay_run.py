@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
+import re
+import subprocess
+import sys
 import time
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from conftest import PROJECT_ROOT
 from replay_cases import (
     CONFIG,
     OUTPUTS,
@@ -28,10 +34,12 @@ from svc_ros.core import se3
 from svc_ros.core.config import preset
 from svc_ros.core.errors import InputError
 from svc_ros.evaluation.replay_job import MODES, ReplayJob
+from svc_ros.evaluation.replay_reference import MAX_ROTATION_DEG, MAX_TRANSLATION_M
 from svc_ros.evaluation.replay_run import replay_bag
-from svc_ros.io.bags import Bag
+from svc_ros.io.bags import Bag, CloudBagWriter
 from svc_ros.io.config_yaml import read_config
 from svc_ros.io.g2o import read_g2o
+from svc_ros.io.result_writer import PICTURE_TOPICS, RESULT_TOPICS
 from svc_ros.io.trajectories import read_tum
 
 NUM_DECISIONS = {"pair": 6, "scan_matching": 7, "loop_closure": 3}
@@ -242,6 +250,58 @@ def test_a_topic_without_clouds_leaves_nothing(bag: Path, tmp_path: Path) -> Non
     with pytest.raises(InputError, match=r"/lidar.*/points"):
         replay_bag(job(bag, tmp_path / "out", topic="/lidar"))
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_bag_that_breaks_off_leaves_what_was_decided(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: str
+) -> None:
+    def breaking(self: Bag, *arguments: Any) -> Iterator[tuple[int, Any]]:
+        yield from itertools.islice(original(self, *arguments), 5)
+        raise InputError("room: cannot be read as a bag: it is truncated")
+
+    original = Bag.raw_clouds
+    monkeypatch.setattr(Bag, "raw_clouds", breaking)
+    with pytest.raises(InputError, match="it is truncated"):
+        replay_bag(job(bag, tmp_path, mode))
+    monkeypatch.undo()
+    assert {path.name for path in tmp_path.iterdir()} == OUTPUTS
+    summary, rows = summary_of(tmp_path), read_decisions(tmp_path)
+    assert (summary["state"], summary["num_scans"]) == ("failed", 5)
+    assert "truncated" in summary["error"]
+    assert len(rows) == summary["num_decisions"] > 0
+    assert mcap_counts(tmp_path / "results.mcap")["decision"] == len(rows)
+    assert len(read_tum(tmp_path / "trajectory_tum.txt")) == 5
+
+
+def test_a_bag_without_messages_is_refused_and_one_without_clouds_is_not(tmp_path: Path) -> None:
+    with CloudBagWriter(tmp_path / "empty"):
+        pass
+    with pytest.raises(InputError, match="found none"):
+        replay_bag(job(tmp_path / "empty", tmp_path / "out"))
+    part = job(write_room_bag(tmp_path / "room"), tmp_path / "out", start_s=0.05, duration_s=0.01)
+    summary = replay_bag(dataclasses.replace(part, report=True))
+    assert (summary["num_scans"], summary["num_decisions"], summary["real_time_factor"]) == (0, 0, 0.0)
+    assert read_decisions(tmp_path / "out") == []
+
+
+def test_the_page_names_what_there_is(runs: dict[str, Path]) -> None:
+    """docs/replay.md: files, keys of the summary, topics, options."""
+    page = (PROJECT_ROOT / "docs" / "replay.md").read_text("utf-8")
+    tables = [[cell.strip() for cell in line.strip("|").split("|")] for line in page.splitlines() if line[:1] == "|"]
+    named = {name for row in tables for name in re.findall(r"`([^`]+)`", row[0])}
+    summaries = [summary_of(out) for out in runs.values()]
+    known = {name for summary in summaries for name in summary} | set(MODES) | OUTPUTS | {"report.html"}
+    done = subprocess.run([sys.executable, "-m", "svc_ros", "replay", "--help"], capture_output=True, text=True)
+    options = {name.partition(" ")[0] for name in named if name.startswith("--")}
+    assert options
+    assert {name for name in options if name not in done.stdout} == set()
+    assert {name for name in named if not name.startswith("--")} - known == set()
+    assert OUTPUTS | {"report.html"} | set(MODES) <= named
+    topics = {*RESULT_TOPICS, *PICTURE_TOPICS}
+    assert all(f"`{topic}`" in page for topic in topics)
+    assert "more than 5 deg or 0.6 m" in page
+    assert (MAX_ROTATION_DEG, MAX_TRANSLATION_M) == (5.0, 0.6)
 
 
 def test_the_report_is_beside_the_rest(bag: Path, tmp_path: Path) -> None:

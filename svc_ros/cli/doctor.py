@@ -38,6 +38,7 @@ _REQUIRED = {  # module -> how to install it
 _OPTIONAL = {  # module -> what it is for, how to install it
     "laspy": ("LAS and LAZ scans", "pip install 'laspy[lazrs]'"),
     "plotly": ("HTML reports", "pip install plotly"),
+    "evo": ("errors of trajectories: replay --reference", "pip install 'evo>=1.30'"),
     "kiss_matcher": ("comparisons", "pip install kiss-matcher"),
 }
 _DISTRIBUTIONS = {"open3d": ("open3d", "open3d-cpu"), "yaml": ("pyyaml",)}

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import closing
 from typing import Any
 
-from svc_ros.core.errors import InputError
+from svc_ros.core.errors import InputError, SvcError
 from svc_ros.evaluation.replay_job import (
     CONFIG,
     DECISIONS,
@@ -26,7 +26,7 @@ from svc_ros.evaluation.replay_outputs import DecisionFiles, record_of
 from svc_ros.evaluation.replay_resume import Earlier, find_earlier
 from svc_ros.evaluation.replay_summary import Tally, trajectory_numbers, versions
 from svc_ros.evaluation.report import write_report
-from svc_ros.evaluation.scenes import Scene
+from svc_ros.evaluation.scenes import SceneKeeper
 from svc_ros.io.bags import Bag
 from svc_ros.io.config_yaml import config_to_yaml
 from svc_ros.io.g2o import write_g2o
@@ -45,7 +45,7 @@ def replay_bag(
 
     on_progress: called after every cloud; should_stop: asked after every cloud, True ends the replay there with
     complete outputs whose summary has the state `interrupted`. Raises InputError, ConfigError and
-    MissingDependencyError; decisions.jsonl and results.mcap then hold what was decided before.
+    MissingDependencyError; of a bag that breaks off there are complete outputs, too, and the state is `failed`.
     """
     stop = should_stop or _never
     config_text = config_to_yaml(job.config, job.preset)
@@ -56,7 +56,11 @@ def replay_bag(
             return dict(earlier.finished)
         run = _Run(job, open_replay(job, bag, topic, earlier.decisions()), earlier)
         run.begin(config_text)
-        run.follow(bag, on_progress or _nothing, stop)
+        try:
+            run.follow(bag, on_progress or _nothing, stop)
+        except SvcError as error:
+            run.finish(str(error))
+            raise
     return run.finish()
 
 
@@ -66,7 +70,7 @@ class _Run:
     def __init__(self, job: ReplayJob, replay: Replay, earlier: Earlier) -> None:
         self._job, self._replay, self._earlier = job, replay, earlier
         self._tally = Tally()
-        self._scenes: list[Scene] = []
+        self._scenes: SceneKeeper | None = None
         self._state, self._begun, self._wall_s = "running", time.monotonic(), earlier.wall_time_s
 
     def begin(self, config_text: str) -> None:
@@ -85,45 +89,53 @@ class _Run:
     def follow(self, bag: Bag, on_progress: Progress, should_stop: StopRequest) -> None:
         """Take step after step."""
         job, replay, known = self._job, self._replay, self._earlier.decisions()
-        with (
-            DecisionFiles(job.out, job.odometry_frame or "odom", self._earlier) as files,
-            closing(steps_of(job, replay, bag, known)) as steps,
-        ):
-            if job.with_input:
-                files.write_transforms(bag, replay.part.span_ns(bag))
-            for step in steps:
-                self._take(step, files)
-                num_done = self._tally.num_scans
-                on_progress(num_done, max(replay.num_expected, num_done))
-                self._wait(should_stop)
-                if should_stop():
-                    self._state = "interrupted"
-                    for decision in known[files.num_seen :]:  # their lines are there already
-                        self._take_decision(decision, files)
-                    break
-            else:
-                self._state = "complete"
-                on_progress(self._tally.num_scans, self._tally.num_scans)
-            self._scenes = files.scenes.scenes
-        self._wall_s += time.monotonic() - self._begun
+        try:
+            with (
+                DecisionFiles(job.out, job.odometry_frame or "odom", self._earlier) as files,
+                closing(steps_of(job, replay, bag, known)) as steps,
+            ):
+                self._scenes = files.scenes
+                if job.with_input:
+                    files.write_transforms(bag, replay.part.span_ns(bag))
+                self._state = self._take_all(steps, files, on_progress, should_stop)
+                for decision in known[files.num_seen :]:  # interrupted before it came to them; their lines are there
+                    self._take_decision(decision, files)
+        finally:
+            self._wall_s += time.monotonic() - self._begun
 
-    def finish(self) -> dict[str, Any]:
-        """Write what is known only at the end: trajectory, graph, summary, report."""
+    def _take_all(
+        self, steps: Iterable[ReplayStep], files: DecisionFiles, on_progress: Progress, should_stop: StopRequest
+    ) -> str:
+        """Take steps until there are no more, or the request to stop; returns the state that this leaves."""
+        for step in steps:
+            self._take(step, files)
+            num_done = self._tally.num_scans
+            on_progress(num_done, max(self._replay.num_expected, num_done))
+            self._wait(should_stop)
+            if should_stop():
+                return "interrupted"
+        on_progress(self._tally.num_scans, self._tally.num_scans)
+        return "complete"
+
+    def finish(self, error: str = "") -> dict[str, Any]:
+        """Write what is known only at the end: trajectory, graph, summary, report. error: why it ended early."""
         track, out = self._replay.track, self._job.out
+        if error:
+            self._state = "failed"
         trajectory, graph = track.trajectory(), track.graph()
         write_tum(out / TRAJECTORY, trajectory)
         write_g2o(out / GRAPH, graph)
         numbers = {
             "trajectory": {"num_poses": len(trajectory), "num_parts": track.num_parts},
             "graph": {"num_vertices": len(graph.poses), "num_edges": len(graph.edges)},
-            **self._compared(trajectory),
-        }
+            **self._compared(trajectory), **({"error": error} if error else {}),
+        }  # fmt: skip
         summary = self._write_summary(numbers)
         if self._job.report:
             begun = time.monotonic()
             reference = self._replay.reference
             truth = None if reference is None else reference.of_clouds(self._tally.frame_id)
-            write_report(out / REPORT, out, self._scenes, truth)
+            write_report(out / REPORT, out, self._scenes.scenes if self._scenes else [], truth)
             summary = self._write_summary({**numbers, "report_time_s": time.monotonic() - begun})
         return summary
 

@@ -133,9 +133,11 @@ class Bag:
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """Times [ns] at which the first and the last message of the bag were recorded."""
+        """Times [ns] at which the first and the last message of the bag were recorded; (0, -1) without messages."""
         reader = self._open_reader()
-        return reader.start_time, max(reader.start_time, reader.end_time - 1)  # the reader tells the first one after it
+        if reader.message_count == 0:
+            return 0, -1
+        return reader.start_time, reader.end_time - 1  # the reader tells the first time after it
 
     def raw_clouds(self, topic: str | None = None, span_ns: tuple[int, int] | None = None) -> Iterator[tuple[int, Any]]:
         """Yield (time [ns] at which it was recorded, PointCloud2) in the order of recording.

@@ -40,6 +40,8 @@ class BagPart:
     def span_ns(self, bag: Bag) -> tuple[int, int]:
         """First and last time of recording [ns] that belong to it, cut to the bag; InputError if that is nothing."""
         begin, end = bag.span_ns
+        if begin > end:
+            raise InputError("replay: expected messages in the bag, found none")
         first = begin + round(self.start_s * _NS)
         if first > end:
             raise InputError(f"replay: the bag has {(end - begin) / _NS:.1f} s, and is to start at {self.start_s:g} s")
