@@ -19,15 +19,11 @@ _NO_RCLPY = (
     "or apt install ros-jazzy-rclpy and source /opt/ros/jazzy/setup.bash"
 )
 _JOIN_S = 1.2  # a pair may take longer than anyone wants to wait after Ctrl-C
-# How soon Python asks the thread that computes to let the executor in. With its own 5 ms a thread that lets go of the
-# interpreter every few milliseconds for a moment is never asked, and the executor waits for all of its work.
-_SWITCH_S = 1e-3
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the node until it is told to stop. Exit code 0, or 2 where it cannot start (one line says why)."""
     signal.signal(signal.SIGTERM, _interrupt)
-    sys.setswitchinterval(_SWITCH_S)
     try:
         return _start(args)
     except KeyboardInterrupt:  # while starting: nothing is running yet
