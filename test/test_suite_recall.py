@@ -54,6 +54,8 @@ def test_the_rmse_of_a_turn_is_by_the_quaternion_of_the_benchmark():
     moved = np.sqrt(np.mean(np.sum(np.square(points[:, :2]), axis=1))) * np.sin(angle / 2.0)
     assert information_rmse(turned(6.0), np.eye(4), information) == pytest.approx(moved, rel=1e-9)
     assert information_rmse(turned(-6.0), np.eye(4), information) == pytest.approx(moved, rel=1e-9)
+    reference = turned(40.0, (1.0, -2.0, 0.5))  # the turn is about the source's origin, wherever the target's is
+    assert information_rmse(reference @ turned(6.0), reference, information) == pytest.approx(moved, rel=1e-6)
 
 
 def test_a_shift_and_a_turn_that_undo_each_other_at_the_points_have_a_small_rmse():
