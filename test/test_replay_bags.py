@@ -80,7 +80,7 @@ def test_the_common_summary(tmp_path: Path) -> None:
     each = {
         "state": "complete", "num_scans": 4, "num_decisions": 3, "verdicts": {"accepted": 2, "rejected": 1},
         "reasons": {"ok": 2, "low_overlap": 1}, "recorded_s": 6.0, "wall_time_s": 2.0, "real_time_factor": 3.0,
-        "reference": {"num_false_accepted": 1},
+        "reference": {"num_false_accepted": 1}, "false_loops": 1,
     }  # fmt: skip
     other = {**each, "wall_time_s": 1.0, "reasons": {"ok": 3}, "state": "interrupted"}
     summaries, errors = {tmp_path / "a": each, tmp_path / "b": other}, {tmp_path / "c": "c: it is truncated"}
@@ -90,7 +90,7 @@ def test_the_common_summary(tmp_path: Path) -> None:
     assert found["verdicts"] == {"accepted": 4, "rejected": 2}
     assert found["reasons"] == {"ok": 5, "low_overlap": 1}
     assert found["real_time_factor"] == pytest.approx(4.0)
-    assert found["num_false_accepted"] == 2
+    assert (found["num_false_accepted"], found["false_loops"]) == (2, 2)
     assert found["interrupted"]
     assert (found["num_failed"], found["num_not_begun"]) == (1, 1)
     assert [(run["out"], run["state"]) for run in found["runs"]] == [

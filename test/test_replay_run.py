@@ -313,6 +313,24 @@ def test_the_report_is_beside_the_rest(bag: Path, tmp_path: Path) -> None:
     assert summary_of(tmp_path) == summary
 
 
+@pytest.mark.parametrize("mode", ["pair", "scan_matching"])
+def test_a_real_walk_in_both_generations_of_bags(shared_data: Path, tmp_path: Path, mode: str) -> None:
+    """ROS 1 (LZ4) and ROS 2 (zstd): the same clouds, the same decisions."""
+    folder = shared_data / "bags" / "os0_64_walk"
+    for name in ("ros1_first22.bag", "ros2_mcap"):
+        part = ReplayJob(
+            folder / name, tmp_path / name, preset("lidar_indoor"), mode=mode, start_s=4.0, duration_s=4.0,
+            reference=folder / "reference_tum.txt", with_input=True, report=False,
+        )  # fmt: skip
+        summary = replay_bag(part)
+        assert summary["num_scans"] == 4
+        assert summary["verdicts"]["accepted"] == (3 if mode == "pair" else 4)
+        assert summary["reference"]["num_false_accepted"] == 0
+        counts = mcap_counts(tmp_path / name / "results.mcap")
+        assert (counts["points"], counts["tf"]) == (4, 4)
+    assert timeless_lines(tmp_path / "ros1_first22.bag") == timeless_lines(tmp_path / "ros2_mcap")
+
+
 @pytest.mark.slow
 def test_the_whole_walk_in_time_and_without_a_false_loop(shared_data: Path, tmp_path: Path) -> None:
     """88 s of bag in at most 60 s on two cores, report included."""

@@ -124,8 +124,11 @@ def combine(summaries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "real_time_factor": recorded / wall if wall else None,
         "interrupted": any(s["state"] != "complete" for s in summaries),
     }
-    compared = [s["reference"]["num_false_accepted"] for s in summaries if s.get("reference")]
-    return total | ({"num_false_accepted": sum(compared)} if compared else {})
+    if compared := [s["reference"]["num_false_accepted"] for s in summaries if s.get("reference")]:
+        total["num_false_accepted"] = sum(compared)
+    if loops := [s["false_loops"] for s in summaries if "false_loops" in s]:
+        total["false_loops"] = sum(loops)
+    return total
 
 
 def _sum(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:

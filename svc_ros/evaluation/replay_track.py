@@ -56,7 +56,7 @@ class PairTrack:
             self._clouds, self._links = {}, []
         if not self._order.lateness(step.cloud.stamp_ns):
             self._clouds[step.cloud.index] = dataclasses.replace(step.cloud, message=None, scan=None)
-        self._links += [dataclasses.replace(d, scans=None) for d in step.decisions if d.result.accepted]
+        self._links += _accepted(step)
 
     @property
     def num_parts(self) -> int:
@@ -103,7 +103,7 @@ class StreamTrack:
             return
         if step.T_odom_scan is not None:
             self._poses[step.cloud.stamp_ns] = step.T_odom_scan
-        self._links += [dataclasses.replace(d, scans=None) for d in step.decisions if d.result.accepted]
+        self._links += _accepted(step)
 
     def trajectory(self) -> Trajectory:
         """See Track."""
@@ -128,6 +128,15 @@ class LoopTrack(StreamTrack):
         known = set(keyframes.stamps_ns.tolist())
         between = [d for d in self._links if {d.source_stamp_ns, d.target_stamp_ns} <= known]
         return build_pose_graph(keyframes, between, self._closer.config.covariance)
+
+
+def _accepted(step: ReplayStep) -> list[ReplayedPair]:
+    """The accepted decisions without what is large: a long bag has many."""
+    return [
+        dataclasses.replace(d, scans=None, result=dataclasses.replace(d.result, evidence=None))
+        for d in step.decisions
+        if d.result.accepted
+    ]
 
 
 def graph_of_links(trajectory: Trajectory, links: Iterable[ReplayedPair]) -> PoseGraph:
