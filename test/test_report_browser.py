@@ -27,6 +27,8 @@ RED_LINES = """(() => {
   return {num: trace.x.filter((x) => x !== null).length / 2, colour: trace.line.color, visible: trace.visible};
 })()"""
 BLOCKED_LIGHT, BLOCKED_DARK = "#e02020", "#ff5a5a"
+RINGED = ("timeline", "evidence", "map")
+OVERLAP = "window.svcReport.data.decisions.overlap[{}]"
 CHOSEN = "window.svcReport.chosen()"
 
 
@@ -138,6 +140,15 @@ def test_the_selector_chooses_a_rejected_pair_with_red_sight_lines_in_its_data(o
     assert "where the other looked through" in opened.evaluate("document.getElementById('facts').textContent")
 
 
+def test_the_page_unpacks_the_coordinates_that_were_packed(opened):
+    source, target, results = judged()
+    scene = make_scene(REJECTED, source, target, results[REJECTED])
+    for side in ("target", "source"):
+        for part in ("points", "clear", "blocked", "blockers"):
+            unpacked = opened.evaluate(f"[...window.svcReport.scene({REJECTED}).{side}.{part}]")
+            np.testing.assert_allclose(np.reshape(unpacked, (-1, 3)), getattr(getattr(scene, side), part), atol=0.01)
+
+
 def test_the_canvas_is_not_blank_and_shows_red_lines_of_the_rejected_pair(opened):
     choose(opened, REJECTED)
     wrong = picture_of(opened, "#view3d")
@@ -176,7 +187,8 @@ def test_the_tab_key_reaches_the_selector_and_shows_where_it_is(browser, page):
     assert reached[0] == "skip"
     assert reached.index("pair") < reached.index("view3d")
     opened.evaluate("document.getElementById('pair').focus()")
-    assert float(opened.evaluate("parseFloat(getComputedStyle(document.activeElement).outlineWidth)")) >= 2
+    opened.press("Tab")  # the outline is for keys, not for clicks
+    assert opened.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
 
 
 def test_arrow_keys_turn_the_picture(opened):
@@ -206,8 +218,16 @@ def test_the_table_chooses_too_and_says_what_was_not_kept(opened):
     assert opened.evaluate(CHOSEN) == REJECTED
 
 
+def ring_places(browser: Chromium) -> list[float]:
+    """Where the ring around the chosen decision is on the axis to the right of each plot that has one."""
+    shapes = [browser.evaluate(f"document.getElementById('{name}').layout.shapes[0]") for name in RINGED]
+    assert all(shape["visible"] for shape in shapes)
+    return [shape["xanchor"] for shape in shapes]
+
+
 def test_a_click_on_a_decision_in_a_plot_chooses_it(opened):
     choose(opened, 0)
+    assert ring_places(opened) == pytest.approx([0.0, opened.evaluate(OVERLAP.format(0)), 2.0])
     opened.evaluate("window.scrollTo({top: 0, behavior: 'instant'})")
     place = opened.evaluate(
         "(() => { const g = document.getElementById('timeline'), b = g.getBoundingClientRect(), l = g._fullLayout;"
@@ -217,18 +237,18 @@ def test_a_click_on_a_decision_in_a_plot_chooses_it(opened):
     )
     opened.click(*place)
     opened.wait_for(f"{CHOSEN} === {REJECTED}")
-    for name in ("timeline", "evidence", "map"):  # the ring is where the decision is
-        ring = opened.evaluate(f"document.getElementById('{name}').layout.shapes[0]")
-        assert ring["visible"], name
-    assert ring["xanchor"] == pytest.approx(6.0)  # half way between the two places, 4 m and 8 m
+    # After a second, the overlap of the decision, and half way between the two places, 4 m and 8 m.
+    assert ring_places(opened) == pytest.approx([1.0, opened.evaluate(OVERLAP.format(REJECTED)), 6.0])
 
 
 def test_dark_and_light_follow_the_system_and_the_switch(opened, browser):
     assert brightness(opened) > 200
     browser.prefer("dark")
     assert brightness(opened) < 70
+    assert opened.evaluate(RED_LINES)["colour"] == BLOCKED_DARK
     opened.evaluate("document.querySelector('#theme input[value=light]').click()")
     assert brightness(opened) > 200
+    assert opened.evaluate(RED_LINES)["colour"] == BLOCKED_LIGHT
     browser.prefer("light")
     opened.evaluate("document.querySelector('#theme input[value=dark]').click()")
     assert brightness(opened) < 70
