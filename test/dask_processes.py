@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -94,3 +95,8 @@ def count_threads(_: int) -> set[int]:
         for name, module in list(sys.modules.items())
         if name.startswith("svc_ros.core.") and hasattr(module, "num_processors")
     }
+
+
+def interrupt_is_ignored(_: int) -> bool:
+    """Whether Ctrl-C is nothing to this process."""
+    return signal.getsignal(signal.SIGINT) == signal.SIG_IGN

@@ -84,6 +84,10 @@ def test_local_workers_give_the_report_of_the_serial_run(room):
     assert progress == [(k, 5) for k in range(1, 6)]
 
 
+def test_ctrl_c_is_the_parents_to_answer():
+    assert run_over(LOCAL, dask_processes.interrupt_is_ignored, [0]) == [True]
+
+
 def test_a_broken_scan_is_told_as_in_the_serial_run(room, tmp_path, pair_of_workers):
     content = json.loads((room / "dataset.json").read_text())
     whole = {"source": str(room / "scans/1.bin"), "target": str(room / "scans/0.bin")}

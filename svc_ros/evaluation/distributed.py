@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import logging
+import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -110,8 +112,9 @@ def _connected(scheduler: str, num_items: int) -> Iterator[Any]:
     dask = _import_distributed()
     if scheduler == LOCAL:
         num_workers = min(num_processors(), num_items)
-        options = {"threads_per_worker": 1, "processes": True, "dashboard_address": ":0"}
-        with dask.LocalCluster(n_workers=num_workers, **options) as cluster, dask.Client(cluster) as client:
+        options = {"threads_per_worker": 1, "processes": True, "preload": [__name__]}
+        quiet = {"dashboard_address": ":0", "silence_logs": logging.ERROR}
+        with dask.LocalCluster(n_workers=num_workers, **options, **quiet) as cluster, dask.Client(cluster) as client:
             yield client
         return
     if "://" not in scheduler:
@@ -122,6 +125,11 @@ def _connected(scheduler: str, num_items: int) -> Iterator[Any]:
         raise SvcError(f"{scheduler}: expected a Dask scheduler, found none that answers: {error}") from None
     with client:
         yield client
+
+
+def dask_setup(_: Any) -> None:
+    """What Dask calls in a local worker that begins: Ctrl-C is the parent's to answer, once."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _import_distributed() -> Any:
