@@ -14,7 +14,8 @@ from svc_ros.core import registration
 from svc_ros.core.config import preset, with_values
 from svc_ros.core.errors import InputError
 from svc_ros.core.scan import PreparedScan
-from svc_ros.evaluation.runner import evaluate_dataset
+from svc_ros.evaluation import evaluator
+from svc_ros.evaluation.runner import evaluate_dataset, evaluate_datasets
 from svc_ros.io.datasets import read_dataset
 
 CONFIG = preset("lidar_indoor")
@@ -165,3 +166,18 @@ def test_the_thresholds_are_the_data_sets(room, tmp_path):
     assert np.isfinite(report["registration"]["pairs"][0]["translation_error_m"])
     assert report["decision"] is None
     assert report["negatives"] is None
+
+
+def test_scans_of_one_set_at_a_time_are_kept_and_none_afterwards(room, monkeypatch):
+    most = []
+    original = evaluator.Evaluator.run
+
+    def watching(self, job):
+        most.append(len(evaluator._resident))
+        return original(self, job)
+
+    monkeypatch.setattr(evaluator.Evaluator, "run", watching)
+    sets = [(read_dataset(room), with_values(CONFIG, {"method": "sc2"}))] * 3
+    assert len(evaluate_datasets(sets, limit=1)) == 3
+    assert set(most) == {1}
+    assert evaluator._resident == {}
