@@ -26,13 +26,24 @@ from svc_ros.ros.collector import DecisionCollector, spin_until
 from svc_ros.ros.conversions import header
 from svc_ros.ros.processes import ChildProcess, local_environment, own_domain_id
 
-TOPICS = {"pair": ("source_points", "target_points"), "scan_matching": ("points",)}
+TOPICS = {"pair": ("source_points", "target_points"), "scan_matching": ("points",), "loop_closure": ("points",)}
 Clouds = Iterator[tuple[PointCloud2, ...]]  # what is published at once, in the order of the topics
 
 _STATUS_EVERY_S, _ANSWER_S, _DRAIN_S, _READY_S = 0.5, 10.0, 60.0, 120.0
 _DEPTH = 100  # what the middleware loses nobody can count
 _QUEUE_SIZE = 2
 _SECOND = 1_000_000_000
+# Of each mode; keyframe stores that are full soon, so that growth can be seen. Of a loop at most one candidate is
+# judged: each scan then has one decision or none, and can be counted.
+_OWN_SETTINGS = {
+    "pair": {},
+    "scan_matching": {"scan_matching.max_keyframes": MAX_KEYFRAMES},
+    "loop_closure": {
+        "scan_matching.max_keyframes": MAX_KEYFRAMES, "loop_closure.max_keyframes": MAX_KEYFRAMES,
+        "loop_closure.min_gap_s": 0.3, "loop_closure.keyframe_distance_m": 0.5,
+        "loop_closure.max_near": 1, "loop_closure.max_similar": 0,
+    },
+}  # fmt: skip
 
 
 class NodeUnderLoad:
@@ -75,8 +86,8 @@ class NodeUnderLoad:
         while time.monotonic() - start < seconds or count < 2:
             count += 1
             self._publish(next(clouds), _SECOND)
-            if not self._spin(lambda due=count: len(self._collector.answers.decisions) >= due, _DRAIN_S):
-                sys.exit(f"no decision in {_DRAIN_S:g} s:\n{self.process.output()}")
+            if not self._spin(lambda due=count: self._num_done() >= due, _DRAIN_S):
+                sys.exit(f"no answer in {_DRAIN_S:g} s:\n{self.process.output()}")
         self.record.served_per_s = count / (time.monotonic() - start)
 
     def play_fast(self, clouds: Clouds, rate_hz: float, seconds: float) -> None:
@@ -107,6 +118,16 @@ class NodeUnderLoad:
         self._spin(lambda: False, 1.0)  # whatever comes now is one answer too many
         self.record.decided = self._decided()
         self.record.is_alive = self.process.exit_code is None and "Traceback" not in self.process.output()
+
+    def _num_done(self) -> int:
+        """Pairs or scans that the node is done with; in loop closure some of them have no decision."""
+        if self.record.mode != "loop_closure":
+            return len(self._collector.answers.decisions)
+        future = self._ask()
+        if not self._spin(future.done, _ANSWER_S):
+            return 0
+        jobs = json.loads(future.result().message)["jobs"]
+        return int(jobs["received"] - jobs["pending"])
 
     def _publish(self, clouds: tuple[PointCloud2, ...], step_ns: int) -> None:
         self._stamp_ns += step_ns
@@ -141,7 +162,7 @@ class NodeUnderLoad:
 
 def _arguments(mode: str, preset: str) -> list[str]:
     settings = [f"mode:={mode}", f"preset:={preset}", f"queue_size:={_QUEUE_SIZE}"]
-    settings.append(f"scan_matching.max_keyframes:={MAX_KEYFRAMES}")  # full soon, so that growth can be seen
+    settings += [f"{name}:={value}" for name, value in _OWN_SETTINGS[mode].items()]
     for topic in TOPICS[mode]:
         values = ("reliability:=reliable", f"depth:={_DEPTH}")
         settings += [f"qos_overrides./{topic}.subscription.{value}" for value in values]

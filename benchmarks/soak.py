@@ -1,6 +1,6 @@
 """Does the node stay right when far more comes than it can serve? A bag, played several times too fast.
 
-    python benchmarks/soak.py [--seconds S] [--factor F] [--modes pair scan_matching] [--bag BAG] [--out DIR]
+    python benchmarks/soak.py [--seconds S] [--factor F] [--modes MODE ...] [--bag BAG] [--out DIR]
 
 First one pair or scan at a time, to see how many a second the node serves; then F times as many. Everything is looked
 at from outside, over DDS: each decision, ~/status twice a second, and a 100 Hz timer in the node's process. Writes
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from _soak_bench import Clouds
     from sensor_msgs.msg import PointCloud2
 
-MODES = ("pair", "scan_matching")
+MODES = ("pair", "scan_matching", "loop_closure")
 SHARE_ALONE = 0.2  # of the time, in which pairs or scans come one at a time
 MAX_MB_PER_S = 60.0  # beyond this the player and the middleware are measured, not the node
 COLUMNS = ("published", "snapshots", "queue_max", "growth_mb", "late_ms_p99")
@@ -35,7 +35,7 @@ def main() -> None:
     """Run, print, write."""
 
     def extend(parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("--seconds", type=float, default=60.0, help="time of play of all modes together")
+        parser.add_argument("--seconds", type=float, default=90.0, help="time of play of all modes together")
         parser.add_argument("--factor", type=float, default=10.0, help="times as fast as the node serves")
         parser.add_argument("--modes", nargs="+", choices=MODES, default=MODES)
         parser.add_argument("--bag", type=Path, default=DEFAULT_DATA.parent / "bags" / "os0_64_walk" / "ros2_mcap")

@@ -124,7 +124,7 @@ def test_growth_is_from_the_middle_third_to_the_last():
 
 @pytest.mark.dds
 @pytest.mark.slow
-@pytest.mark.parametrize("mode", ["pair", "scan_matching"])
+@pytest.mark.parametrize("mode", ["pair", "scan_matching", "loop_closure"])
 def test_the_node_is_played_too_fast_and_its_counts_are_right(monkeypatch, tmp_path, mode):
     pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
     import soak

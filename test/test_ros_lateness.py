@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,6 +25,7 @@ from svc_ros.ros.registration_node import RegistrationNode  # noqa: E402
 pytestmark = pytest.mark.dds
 
 PERIOD_S, MAX_LATE_MS = 0.01, 25.0
+QUIET_MS = 5.0  # a machine that is later than that is busy with something else
 # The same beat in a process that does nothing else: how late the machine itself is, with all that runs on it.
 CONTROL = """
 import sys, threading, time
@@ -34,31 +37,71 @@ while not done.is_set():
     late.append(1e3 * (time.monotonic() - start - 0.01))
 print(sorted(late)[int(0.99 * len(late))])
 """
+THREADS = Path("/proc/self/task")
 TOPICS = ("points", "source_points", "target_points")
-BAG = ("bags", "hdl64_kitti_a_10hz")
+DRIVE, WALK = ("bags", "hdl64_kitti_a_10hz"), ("bags", "os0_64_walk", "ros2_mcap")
+LOOPS = {"mode": "loop_closure", "loop_closure.min_gap_s": 1.0, "loop_closure.keyframe_distance_m": 0.5}
 
 
+def computed_ms() -> dict[str, float]:
+    """How long each thread of this process has run on a processor so far."""
+    times = {}
+    for thread in THREADS.iterdir():
+        with contextlib.suppress(OSError):  # it has ended meanwhile
+            times[thread.name] = 1e-6 * int((thread / "schedstat").read_text().split()[0])
+    return times
+
+
+class Heart:
+    """A 100 Hz timer that writes down how late it is, and how much of that some thread of this process has computed.
+
+    Whoever keeps the timer waiting computes meanwhile; a process that waits for a processor itself does not.
+    """
+
+    def __init__(self, node) -> None:
+        self.late_ms, self.kept_waiting_ms = [], []
+        self._node, self._last_s, self._computed = node, time.monotonic(), computed_ms()
+        self._timer = node.create_timer(PERIOD_S, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def stop(self) -> None:
+        self._node.destroy_timer(self._timer)
+
+    def _tick(self) -> None:
+        now, computed = time.monotonic(), computed_ms()
+        late = max(1e3 * (now - self._last_s - PERIOD_S), 0.0)
+        self.late_ms.append(late)
+        self.kept_waiting_ms.append(min(late, max(t - self._computed.get(name, 0.0) for name, t in computed.items())))
+        self._last_s, self._computed = now, computed
+
+
+@pytest.mark.skipif(not THREADS.is_dir(), reason="needs /proc of Linux")
 @pytest.mark.parametrize(
-    ("mode", "arguments"), [("scan_matching", ["--scans", "--rate", "5"]), ("pair", ["--rate", "1", "--limit", "8"])]
+    ("bag", "arguments", "values"),
+    [
+        (DRIVE, ["--scans", "--rate", "5"], {"mode": "scan_matching"}),
+        (WALK, ["--scans", "--rate", "12"], {"mode": "scan_matching", "preset": "lidar_indoor"}),
+        (DRIVE, ["--rate", "1", "--limit", "8"], {"mode": "pair"}),
+        (DRIVE, ["--scans", "--rate", "5"], LOOPS),
+        (WALK, ["--scans", "--rate", "12"], {**LOOPS, "preset": "lidar_indoor"}),
+    ],
+    ids=["scan_matching-drive", "scan_matching-walk", "pair-drive", "loop_closure-drive", "loop_closure-walk"],
 )
 @pytest.mark.slow  # it measures time: what else runs on the machine counts
 def test_a_timer_at_100_hz_is_in_time_while_real_scans_are_computed(
-    shared_data, tmp_path, monkeypatch, mode, arguments
+    shared_data, tmp_path, monkeypatch, bag, arguments, values
 ):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     domain_id, context = own_domain_id(40), Context()
     rclpy.init(context=context, domain_id=domain_id)
-    values = {"mode": mode, **{f"qos_overrides./{t}.subscription.reliability": "reliable" for t in TOPICS}}
+    values = {**values, **{f"qos_overrides./{t}.subscription.reliability": "reliable" for t in TOPICS}}
     given = [Parameter(name, value=value) for name, value in values.items()]
     node = RegistrationNode(context=context, parameter_overrides=given)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
-    player_args = [str(shared_data.joinpath(*BAG)), *arguments, "--wait-for-subscribers", "20"]
+    player_args = [str(shared_data.joinpath(*bag)), *arguments, "--wait-for-subscribers", "20"]
     try:
         session = node._session
         assert spin_until(executor, session.worker.ready.is_set, 60.0)
-        ticks: list[float] = []
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
         with ChildProcess(
             "svc_ros.ros.bag_player", player_args, local_environment(domain_id), tmp_path / "log"
         ) as player:
@@ -66,16 +109,19 @@ def test_a_timer_at_100_hz_is_in_time_while_real_scans_are_computed(
             control = subprocess.Popen(
                 [sys.executable, "-c", CONTROL], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
             )
-            timer = node.create_timer(PERIOD_S, lambda: ticks.append(time.monotonic()), clock=steady)
+            heart = Heart(node)
             assert spin_until(executor, lambda: player.exit_code is not None, 30.0)
-            node.destroy_timer(timer)
+            heart.stop()
             machine_ms = float(control.communicate()[0])
         counts = session.statistics.numbers()["decisions"]
     finally:
         node.stop(30.0)
         node.destroy_node()
         context.try_shutdown()
-    late_ms = 1e3 * np.maximum(np.diff(ticks) - PERIOD_S, 0.0)
-    assert counts["accepted"] >= 3, counts  # there was work
-    assert len(late_ms) > 100
-    assert np.percentile(late_ms, 99) < MAX_LATE_MS + machine_ms
+    assert counts["accepted"] >= 1, counts  # there was work
+    assert len(heart.late_ms) > 100
+    late, kept_waiting = np.percentile(heart.late_ms, 99), np.percentile(heart.kept_waiting_ms, 99)
+    print(f"99th percentile: {late:.1f} ms late, {kept_waiting:.1f} ms kept waiting; the machine {machine_ms:.1f} ms")
+    print(f"longest: {max(heart.late_ms):.1f} ms late, {max(heart.kept_waiting_ms):.1f} ms kept waiting")
+    assert kept_waiting < MAX_LATE_MS
+    assert late < MAX_LATE_MS + machine_ms or machine_ms > QUIET_MS

@@ -61,12 +61,15 @@ class Pairs:
         return self.collector.answers.decisions[-1]
 
 
-def test_without_autostart_the_node_waits_for_its_transitions(host):
+def test_without_autostart_the_node_waits_for_its_transitions(host, monkeypatch):
+    monkeypatch.setattr(sys, "setswitchinterval", (intervals := []).append)
     node = host.start(autostart=False)
     assert host.state() == "unconfigured"
+    assert intervals == []
     assert node.subscriptions == [] or all("points" not in s.topic_name for s in node.subscriptions)
     assert host.change(Transition.TRANSITION_CONFIGURE)
     assert host.state() == "inactive"
+    assert intervals == [0.001]  # the executor would wait for the worker's calls too long
     pairs = Pairs(host)
     assert pairs.decide(1.0)["reason"] == "inactive"
     assert host.change(Transition.TRANSITION_ACTIVATE)

@@ -75,7 +75,7 @@ class LoopEngine:
             return [self._judge_pair(job, config, start)]
         found = self._close(job, config)
         self._last = next((d for d in reversed(found) if d.scans is not None), self._last)
-        self._loops += [dataclasses.replace(d, scans=None) for d in found if d.result.accepted]
+        self._loops += [_edge_only(d) for d in found if d.result.accepted]
         decisions = [from_stream(d, job, start, self._sources.odometry_frame, np.eye(4)) for d in found]
         return [dataclasses.replace(d, vertices=self._vertices(d)) for d in decisions]
 
@@ -170,6 +170,11 @@ class LoopEngine:
             return self._reader.scan(cloud)
         except (InputError, TransformUnavailableError) as error:
             raise named_side(side, error) from error
+
+
+def _edge_only(loop: StreamDecision) -> StreamDecision:
+    """What the pose graph needs of a loop: of a long day there are many, and evidence is large."""
+    return dataclasses.replace(loop, scans=None, result=dataclasses.replace(loop.result, evidence=None))
 
 
 def _numbered(path: Path, number: int) -> Path:
