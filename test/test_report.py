@@ -238,7 +238,7 @@ class TestBorder:
 def test_stage_times_are_those_of_decisions_that_took_time():
     times = [{"matching": 10.0, "prepare": 1.0, "total": 12.0}, {"matching": 30.0, "total": 40.0}, {"total": 0.0}, {}]
     found = stage_times([record(time_ms=entry) for entry in times])
-    assert (found["num_decisions"], found["stages"]) == (2, ["matching", "prepare"])
+    assert (found["num_decisions"], found["stages"], found["num"]) == (2, ["matching", "prepare"], [2, 1])
     assert found["median_ms"] == [20.0, 1.0]
     assert found["total_median_ms"] == 26.0
     assert found["p95_ms"][0] == pytest.approx(29.0)

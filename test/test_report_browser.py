@@ -137,6 +137,8 @@ def test_the_selector_chooses_a_rejected_pair_with_red_sight_lines_in_its_data(o
     assert drawn["num"] == lines > max(100, few)
     assert drawn["colour"] == BLOCKED_LIGHT
     assert "rejected" in opened.evaluate("document.getElementById('facts').textContent")
+    announced = opened.evaluate("document.getElementById('announced').textContent")  # what a screen reader says
+    assert announced.startswith(f"Decision {REJECTED}, rejected: one scan has surface")
     assert "where the other looked through" in opened.evaluate("document.getElementById('facts').textContent")
 
 

@@ -151,7 +151,7 @@ def _rounded(value: float | None, digits: int) -> float | None:
     return None if value is None else round(float(value), digits)
 
 
-def worst_decisions(records: Sequence[Record], num_each: int = 6) -> list[tuple[int, str]]:
+def worst_decisions(records: Sequence[Record], num_each: int = 5) -> list[tuple[int, str]]:
     """Lines of decisions that deserve a look, each with why; the most alarming first, none twice."""
     judged = [k for k, record in enumerate(records) if record.get("probability") is not None]
     accepted = [k for k in judged if verdict_of(records[k]) is Verdict.ACCEPTED]

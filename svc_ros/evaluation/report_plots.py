@@ -72,24 +72,28 @@ def _idx(num: int) -> IndexArray:
 
 
 def stage_times(records: Sequence[Record]) -> dict[str, Any]:
-    """Median and 95th percentile [ms] of every stage over the decisions that took time, slowest first; and of all."""
+    """Median and 95th percentile [ms] of every stage over the decisions that had it, and of their totals.
+
+    Decisions that took no time are left out. The stage on which most time was spent in all comes first; num: how many
+    decisions had each stage.
+    """
     times = [record["time_ms"] for record in records if (record.get("time_ms") or {}).get("total")]
-    names = sorted({name for entry in times for name in entry if name != "total"})
-
-    def shares(name: str) -> tuple[float, float]:
-        values = [float(entry[name]) for entry in times if name in entry]
-        return round(percentile(values, 50) or 0.0, 3), round(percentile(values, 95) or 0.0, 3)
-
-    rows = sorted(((name, *shares(name)) for name in names), key=lambda row: -row[1])
-    total = shares("total")
+    spent = {name: [float(entry[name]) for entry in times if name in entry] for entry in times for name in entry}
+    totals = spent.pop("total", [])
+    stages = sorted(spent, key=lambda name: (-sum(spent[name]), name))
     return {
         "num_decisions": len(times),
-        "stages": [row[0] for row in rows],
-        "median_ms": [row[1] for row in rows],
-        "p95_ms": [row[2] for row in rows],
-        "total_median_ms": total[0],
-        "total_p95_ms": total[1],
+        "stages": stages,
+        "num": [len(spent[name]) for name in stages],
+        "median_ms": [_percentile(spent[name], 50) for name in stages],
+        "p95_ms": [_percentile(spent[name], 95) for name in stages],
+        "total_median_ms": _percentile(totals, 50),
+        "total_p95_ms": _percentile(totals, 95),
     }
+
+
+def _percentile(values: Sequence[float], q: float) -> float:
+    return round(percentile(values, q) or 0.0, 3)
 
 
 def map_from_above(run: Run, reference: Trajectory | None, drawn: Sequence[int]) -> dict[str, Any]:

@@ -40,6 +40,7 @@ function choose(index) {
   if (!listed().includes(index)) { filter.value = "all"; fillPairs(); }
   shown = sceneOf(index);
   showChoice();
+  byId("announced").textContent = `Decision ${index}, ${data.told[index].verdict}: ${data.told[index].words}.`;
   drawScene();
   if (data.kind === "report") moveRings();
   return true;
@@ -62,11 +63,11 @@ function drawAll() {
 
 function fillTiles() {
   const total = totalDecisions();
-  const tile = (name, number, more) => {
+  const tile = (name, number, more, colour = "") => {
     const item = make("li", "tile");
     const label = make("span", "name");
     label.append(name);
-    item.append(label, make("span", "number", number), make("span", "more", more));
+    item.append(label, make("span", `number ${colour}`, number), make("span", "more", more));
     byId("tiles").append(item);
   };
   tile("decisions", whole(total), data.times.num_decisions ? `median ${data.times.total_median_ms.toFixed(0)} ms each` : "");
@@ -75,7 +76,7 @@ function fillTiles() {
     tile(verdictBadge(verdict), whole(data.counts[verdict]), total ? `${((100 * data.counts[verdict]) / total).toFixed(1)} %` : "");
   }
   const false_accepts = told("reference.num_false_accepted"), compared = told("reference.num_accepted_compared");
-  if (typeof false_accepts === "number") tile("false accepts", whole(false_accepts), `of ${whole(compared)} compared with the reference`);
+  if (typeof false_accepts === "number") tile("false accepts", whole(false_accepts), `of ${whole(compared)} compared with the reference`, false_accepts ? "rejected" : "");
   const ape = told("reference.ape.translation_m.rmse");
   if (typeof ape === "number") tile("trajectory error", `${ape.toFixed(ape < 1 ? 3 : 2)} m`, "APE, root mean square");
   const factor = told("real_time_factor");

@@ -173,9 +173,16 @@ function drawMap() {
     });
     for (const [k, x0, y0, x1, y1] of links) places.map.set(k, [(x0 + x1) / 2, (y0 + y1) / 2]);
   }
+  const spanned = [...map.way, ...VERDICTS.flatMap((v) => map.links[v].flatMap(([, x0, y0, x1, y1]) => [[x0, y0], [x1, y1]]))];
+  const range = (k) => { // of the way and the links; the reference may lead far away
+    if (!spanned.length) return {};
+    const low = spanned.reduce((a, p) => Math.min(a, p[k]), Infinity), high = spanned.reduce((a, p) => Math.max(a, p[k]), -Infinity);
+    const margin = 0.06 * (high - low) + 0.5;
+    return { range: [low - margin, high + margin] };
+  };
   draw("map", traces, layout({
     shapes: [ring("map")],
-    xaxis: axis("x [m]"), yaxis: axis("y [m]", { scaleanchor: "x", scaleratio: 1 }), dragmode: coarse.matches ? false : "pan",
+    xaxis: axis("x [m]", range(0)), yaxis: axis("y [m]", { scaleanchor: "x", scaleratio: 1, ...range(1) }), dragmode: coarse.matches ? false : "pan",
     margin: { l: 56, r: 12, t: 8, b: 44 },
   }));
   byId("map-hint").textContent = "Links join the two scans of a decision: solid where accepted, dashed where not.";
@@ -188,7 +195,8 @@ function drawMap() {
 
 function drawTimes() {
   const t = data.times;
-  const names = t.stages.map((name) => name.replaceAll("_", " ")).reverse();
+  const rare = (k) => (t.num[k] < t.num_decisions ? `  (${whole(t.num[k])} of ${whole(t.num_decisions)})` : "");
+  const names = t.stages.map((name, k) => name.replaceAll("_", " ") + rare(k)).reverse();
   const bar = (values, name, width, colour, opacity) => ({
     type: "bar", orientation: "h", name, y: names, x: [...values].reverse(), width, marker: { color: colour, opacity },
     hovertemplate: `%{y}: ${name} %{x:.1f} ms<extra></extra>`,
@@ -199,7 +207,7 @@ function drawTimes() {
     margin: { l: 90, r: 12, t: 4, b: 44 },
   }));
   byId("times-hint").textContent = t.num_decisions
-    ? `Dark: median, pale: 95th percentile, over ${whole(t.num_decisions)} decisions. In total ${t.total_median_ms.toFixed(1)} ms and ${t.total_p95_ms.toFixed(1)} ms.`
+    ? `Full bar: median; pale: 95th percentile, over the decisions that had the stage. In the order of the time spent in all. A whole decision took ${t.total_median_ms.toFixed(1)} ms, 95th percentile ${t.total_p95_ms.toFixed(1)} ms.`
     : "No decision tells how long it took.";
   describe("times", `Median time by stage: ${t.stages.map((name, k) => `${name} ${t.median_ms[k].toFixed(1)} ms`).join(", ")}.`);
 }
