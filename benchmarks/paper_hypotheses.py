@@ -3,8 +3,9 @@
     python benchmarks/paper_hypotheses.py [--data DIR] [--limit N] [--3dmatch DIR] [--3dlomatch DIR] [--kitti DIR]
 
 The published rule looks at up to K hypotheses; K = 0 is SC2-PCR alone. svc looks at up to K distinct poses, which it
-refines first; its wide search at low overlap stays as configured. Time is that of a whole registration whose descriptors are given. Times mean something only on a machine
-with nothing else to do; recalls always. Writes paper-hypotheses.json and paper-hypotheses.png.
+refines first; its wide search at low overlap stays as configured. Time is that of a whole registration whose
+descriptors are given. Times mean something only on a machine with nothing else to do; recalls always. Writes
+paper-hypotheses.json and paper-hypotheses.png.
 """
 
 from __future__ import annotations
