@@ -87,7 +87,17 @@ def test_links_without_covariance_are_no_edges() -> None:
     assert (len(track.graph().poses), len(track.graph().edges)) == (2, 0)
 
 
-def test_loops_are_edges_between_keyframes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_loops_of_keyframes_without_odometry_are_no_edges() -> None:
+    """As in the node's file: what has no place has no vertex."""
+    closer, points = LoopCloser(preset("lidar_indoor")), np.random.default_rng(0).uniform(-9, 9, (3000, 3))
+    track, stamps = LoopTrack(closer), [k * SECOND for k in range(3)]
+    for k, T in enumerate([pose(0.0), None, pose(6.0)]):
+        closer.add(Scan(points, stamps[k], "lidar"), T)
+        track.add(step(k, stamps, [link(2, 1, 1.0, stamps), link(2, 0, 6.0, stamps)] if k == 2 else [], T))
+    assert [(e.source, e.target) for e in track.graph().edges] == [(1, 0), (1, 0)]  # odometry, and one of the loops
+
+
+def test_loops_are_edges_between_keyframes() -> None:
     config = preset("lidar_indoor")
     closer, points = LoopCloser(config), np.random.default_rng(0).uniform(-9, 9, (3000, 3))
     track, stamps = LoopTrack(closer), [k * SECOND for k in range(4)]

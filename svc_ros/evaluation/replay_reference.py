@@ -54,6 +54,8 @@ class Reference:
 
     def of_clouds(self, cloud_frame: str) -> Trajectory:
         """The reference as poses of the clouds' frame, at its own stamps as far as the bag has the transform."""
+        if self.frame is None or self.frame == normalise_frame(cloud_frame):
+            return self.trajectory
         poses = {int(stamp): self.pose(int(stamp), cloud_frame) for stamp in self.trajectory.stamps_ns}
         known = {stamp: pose for stamp, pose in poses.items() if pose is not None}
         return Trajectory(np.array(list(known), np.int64), np.array(list(known.values())).reshape(-1, 4, 4))
