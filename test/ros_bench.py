@@ -121,7 +121,8 @@ class StreamBench(NodeBench):
 
     def __init__(self, folder: Path, domain_id: int, parameters: dict[str, str]) -> None:
         settings = [f"{name}:={value}" for name, value in parameters.items()]
-        super().__init__(folder, domain_id, [*settings, "qos_overrides./points.subscription.reliability:=reliable"])
+        reliable = [*RELIABLE_INPUTS, "qos_overrides./points.subscription.reliability:=reliable"]
+        super().__init__(folder, domain_id, [*settings, *reliable])
         self.points = self.node.create_publisher(PointCloud2, "/points", QoSProfile(depth=100))
         self.odometry: list[Odometry] = []
         self.paths: list[PathMessage] = []
