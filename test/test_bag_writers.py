@@ -14,6 +14,7 @@ from svc_ros.core.errors import InputError
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.se3 import make_pose
 from svc_ros.io.bags import Bag, CloudBagWriter, ResultWriter
+from svc_ros.io.result_writer import UNFINISHED
 
 
 def result(accepted: bool = True, covariance: bool = True) -> RegistrationResult:
@@ -29,6 +30,7 @@ def test_results_carry_transforms_for_accepted_pairs_only(tmp_path: Path) -> Non
     with ResultWriter(path) as writer:
         writer.write(result(), START + S, START, "sensor", "map")
         writer.write(result(accepted=False), START + 2 * S, START + S, "sensor", "map")
+        assert [p.is_dir() for p in path.parent.glob(UNFINISHED)] == [True]
     found = messages_of(path)
     counts = {topic.rpartition("/")[2]: len(messages) for topic, messages in found.items()}
     assert counts == {"transform": 1, "pose": 1, "rejected": 2, "decision": 2}

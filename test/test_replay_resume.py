@@ -81,6 +81,7 @@ def test_a_killed_run_is_continued_from_its_last_whole_line(
     wanted = job(bag, tmp_path, mode, reference=whole[mode].parent / "reference.txt")
     replay_bag(wanted, should_stop=StopAfter(num_scans))
     (tmp_path / "results.mcap").unlink()
+    (tmp_path / ".results-1234.unfinished" / "bag").mkdir(parents=True)
     lines = (tmp_path / "decisions.jsonl").read_text()
     (tmp_path / "decisions.jsonl").write_text(lines + '{"source_stamp_ns": 17')
     replay_bag(dataclasses.replace(wanted, resume=True))

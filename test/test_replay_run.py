@@ -79,7 +79,7 @@ def test_every_mode_leaves_every_file(runs: dict[str, Path], mode: str) -> None:
     assert {path.name for path in out.iterdir()} == OUTPUTS
     rows, summary = read_decisions(out), summary_of(out)
     assert len(rows) == NUM_DECISIONS[mode]
-    assert summary["state"] == "complete"
+    assert (summary["state"], summary["interrupted"]) == ("complete", False)
     assert (summary["num_scans"], summary["num_decisions"]) == (len(WAY), len(rows))
     assert {k: v for k, v in summary["verdicts"].items() if v} == Counter(row["verdict"] for row in rows)
     assert summary["reasons"] == Counter(row["reason"] for row in rows)
@@ -257,7 +257,7 @@ def test_progress_ends_where_the_bag_does(bag: Path, tmp_path: Path) -> None:
 def test_an_interrupted_replay_has_complete_outputs(bag: Path, tmp_path: Path, mode: str) -> None:
     summary = replay_bag(job(bag, tmp_path, mode), should_stop=StopAfter(4))
     assert {path.name for path in tmp_path.iterdir()} == OUTPUTS
-    assert (summary["state"], summary["num_scans"]) == ("interrupted", 4)
+    assert (summary["state"], summary["interrupted"], summary["num_scans"]) == ("interrupted", True, 4)
     rows = read_decisions(tmp_path)
     assert len(rows) == summary["num_decisions"]
     assert mcap_counts(tmp_path / "results.mcap")["decision"] == len(rows)

@@ -12,7 +12,7 @@ from typing import Any
 
 from svc_ros.core.errors import InputError
 from svc_ros.evaluation.replay_job import SUMMARY, ReplayJob
-from svc_ros.evaluation.replay_summary import combine
+from svc_ros.evaluation.replay_summary import combine, versions
 
 _SUFFIXES = (".bag", ".mcap", ".db3")
 
@@ -74,6 +74,7 @@ def write_common_summary(
         **combine(done),
         "num_failed": len(errors),
         "num_not_begun": len(jobs) - len(done) - len(errors),
+        "versions": versions(),
         "runs": [_run(job, summaries.get(job.out), errors.get(job.out)) for job in jobs],
     }
     text = json.dumps(whole, indent=2, allow_nan=False) + "\n"

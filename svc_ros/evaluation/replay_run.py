@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import time
 from collections.abc import Iterable, Mapping
 from contextlib import closing
@@ -30,6 +31,7 @@ from svc_ros.evaluation.scenes import SceneKeeper
 from svc_ros.io.bags import Bag
 from svc_ros.io.config_yaml import config_to_yaml
 from svc_ros.io.g2o import write_g2o
+from svc_ros.io.result_writer import UNFINISHED
 from svc_ros.io.trajectories import Trajectory, write_tum
 from svc_ros.pipeline.replay_clouds import ReplayedPair, ReplayStep
 
@@ -81,6 +83,8 @@ class _Run:
             out.mkdir(parents=True, exist_ok=True)
             for name in {TRAJECTORY, GRAPH, REPORT, DECISIONS, RESULTS}.difference(still_needed):
                 (out / name).unlink(missing_ok=True)
+            for folder in out.glob(UNFINISHED):  # of a writer that was killed
+                shutil.rmtree(folder)
             (out / CONFIG).write_text(config_text, encoding="utf-8")
         except OSError as error:
             raise InputError(f"--out {out}: cannot be written: {error.strerror}") from None
@@ -177,6 +181,7 @@ class _Run:
         job, recorded_s = self._job, self._tally.recorded_s
         summary = {
             "bag": str(job.bag), "topic": self._replay.topic, "mode": job.mode, "state": self._state,
+            "interrupted": self._state == "interrupted",
             "method": job.config.method, "preset": job.preset,
             **self._tally.numbers(),
             "recorded_s": recorded_s, "wall_time_s": self._wall_s,

@@ -29,6 +29,7 @@ RESULT_TOPICS = {
     "decision": "diagnostic_msgs/msg/DiagnosticArray",
 }
 PICTURE_TOPICS = {"aligned": CLOUD_TYPE, "blocked_points": CLOUD_TYPE, "sight_lines": MARKERS_TYPE}
+UNFINISHED = ".*.unfinished"  # what the folder is called that holds a file until it is closed
 # Of an accepted pose whose method gives none, as the node has it: 1 m and 10 deg, so that nobody takes it for certain.
 UNKNOWN_COVARIANCE = np.diag([1.0, 1.0, 1.0, *[np.radians(10.0) ** 2] * 3])
 
@@ -62,7 +63,7 @@ class ResultWriter:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             folder = self._workplace.enter_context(
-                tempfile.TemporaryDirectory(dir=self.path.parent, prefix=f".{self.path.stem}-")
+                tempfile.TemporaryDirectory(dir=self.path.parent, prefix=f".{self.path.stem}-", suffix=".unfinished")
             )
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror}") from None
