@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from report_cases import REFUSED, REJECTED, judged, write_run
+from test_cli import run
 
 from svc_ros.evaluation.report import write_report, write_view
 from svc_ros.evaluation.scenes import make_scene
-from svc_ros.io.results import result_to_json
+from svc_ros.io.results import read_jsonl, result_to_json
+from svc_ros.simulation import DriveConfig, simulate_drive
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tools"))
 from chromium import Chromium, find_chromium
@@ -283,6 +285,29 @@ def test_a_view_shows_its_one_pair(browser, tmp_path):
     assert browser.evaluate("document.querySelector('h1').textContent") == "scan_1.pcd onto scan_0.pcd"
     assert browser.evaluate(RED_LINES)["num"] == scene.num_blocked_drawn
     assert browser.evaluate("document.getElementById('timeline').clientHeight") == 0
+    assert browser.complaints == []
+
+
+def test_the_report_that_a_replay_writes(browser, tmp_path):
+    """From a bag to red lines on the screen: the carrier is put elsewhere after its second scan."""
+    drive = simulate_drive(tmp_path, DriveConfig(num_scans=4, sensor="VLP-16", teleport_after=1))
+    out = tmp_path / "out"
+    done = run("replay", drive.bag, "--reference", drive.reference, "--out", out)
+    assert done.exit_code == 0, done.output
+    browser.resize(*DESKTOP)
+    load(browser, out / "report.html")
+    assert (out / "report.html").stat().st_size < 15e6
+    verdicts = [record["verdict"] for record in read_jsonl(out / "decisions.jsonl")]
+    assert verdicts == ["accepted", "rejected", "accepted"]
+    assert browser.evaluate("window.svcReport.indices()") == [0, 1, 2]
+    choose(browser, 1)
+    scene = browser.evaluate(
+        "(() => { const s = window.svcReport.scene(1);"
+        " return [s.verdict, s.target.blocked.length + s.source.blocked.length]; })()"
+    )
+    assert scene[0] == "rejected"
+    assert scene[1] / 3 == browser.evaluate(RED_LINES)["num"] > 50
+    assert browser.evaluate("document.getElementById('notes').hidden")
     assert browser.complaints == []
 
 
