@@ -22,7 +22,11 @@ from svc_ros.io.g2o import read_g2o, write_g2o
 from svc_ros.io.trajectories import read_tum
 from svc_ros.pipeline.loop_closure import LoopCloser
 from svc_ros.pipeline.pose_graph import build_pose_graph
+from svc_ros.pipeline.replay_clouds import RecordedCloud
 from svc_ros.pipeline.replay_stream import (
+    TrackedCloud,
+    loop_steps,
+    matching_steps,
     odometry_by_matching,
     odometry_by_transforms,
     replay_loop_closure,
@@ -81,6 +85,32 @@ def test_a_sensor_frame_without_transform_is_a_reason(bag_path: Path) -> None:
         found = list(replay_scan_matching(bag, "/points", CONFIG, sensor_frame="camera"))
     assert {d.result.reason for d in found} == {Reason.TF_UNAVAILABLE}
     assert len(found) == len(WAY)
+
+
+@pytest.mark.parametrize("loop_closure", [False, True])
+def test_indices_where_stamps_come_twice_and_time_jumps_back(loop_closure: bool) -> None:
+    """A cloud that was recorded twice is dropped; the bag's second round begins anew."""
+    order = [0, 1, 1, 2, 3, 4, 5, 6, 0, 1, 2, 3, 4, 5, 6]
+    clouds = []
+    for n, k in enumerate(order):
+        stamp = START_NS + k * 10 * STEP_NS
+        scan = Scan(mini_data.scan_room(WAY[k], seed=k), stamp, "lidar")
+        clouds.append(RecordedCloud(n, stamp, "lidar", stamp, None, scan=scan))
+    if loop_closure:
+        closer = LoopCloser(CONFIG)
+        tracked = (TrackedCloud(cloud, WAY[order[cloud.index]], 0.0) for cloud in clouds)
+        found = [d for step in loop_steps(tracked, closer) for d in step.decisions]
+    else:
+        found = [d for step in matching_steps(clouds, CONFIG) for d in step.decisions]
+        assert [d.source_index for d in found] == list(range(len(order)))
+    assert any(d.source_index > 8 for d in found)
+    for d in found:
+        if d.result.reason is Reason.STALE:
+            assert (d.source_index, d.target_index) == (2, 2)
+            continue
+        assert order[d.target_index] * 10 * STEP_NS + START_NS == d.target_stamp_ns
+        assert d.target_index != 2
+        assert (d.target_index >= 8) == (d.source_index >= 8)
 
 
 @pytest.mark.parametrize("source", ["transforms", "matching", "none"])

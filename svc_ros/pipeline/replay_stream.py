@@ -13,7 +13,7 @@ from svc_ros.io.transforms import TransformTree
 from svc_ros.pipeline.loop_closure import LoopCloser
 from svc_ros.pipeline.replay_clouds import BagPart, RecordedCloud, ReplayedPair, ReplayStep, Stopwatch, read_clouds
 from svc_ros.pipeline.scan_matching import ScanMatcher
-from svc_ros.pipeline.stream import StreamDecision, refuse_scan
+from svc_ros.pipeline.stream import StampOrder, StreamDecision, refuse_scan
 
 Odometry = Callable[[Scan], Array | None]
 
@@ -104,15 +104,25 @@ def _closed(tracked: TrackedCloud, closer: LoopCloser) -> list[StreamDecision]:
 
 
 class _Indices:
-    """Which cloud had which stamp."""
+    """Which cloud had which stamp, since time last jumped back."""
 
     def __init__(self) -> None:
+        self._order = StampOrder()
         self._of_stamp: dict[int, int] = {}
 
     def of(self, decisions: list[StreamDecision], cloud: RecordedCloud) -> list[ReplayedPair]:
-        """The decisions on a cloud with the indices of both clouds; a stamp that came twice means the later one."""
-        self._of_stamp[cloud.stamp_ns] = cloud.index
-        return [ReplayedPair.of(d, cloud.index, self._of_stamp[d.target_stamp_ns]) for d in decisions]
+        """The decisions on a cloud with the indices of both clouds. Of two clouds with one stamp the later is dropped,
+        so that a target is the first one."""
+        if self._order.is_jump(cloud.stamp_ns):
+            self._of_stamp.clear()
+        self._order.lateness(cloud.stamp_ns)
+        self._of_stamp.setdefault(cloud.stamp_ns, cloud.index)
+        return [ReplayedPair.of(d, cloud.index, self._index_of_target(d, cloud)) for d in decisions]
+
+    def _index_of_target(self, decision: StreamDecision, cloud: RecordedCloud) -> int:
+        if decision.target_stamp_ns == cloud.stamp_ns:  # it was compared with nothing
+            return cloud.index
+        return self._of_stamp[decision.target_stamp_ns]
 
 
 def _refused(cloud: RecordedCloud, config: Config) -> StreamDecision:
