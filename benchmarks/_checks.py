@@ -22,6 +22,7 @@ from svc_ros.core.sight_view import find_blocked
 OURS, TWIN, PAPER, PAPER_TWIN = "svc_ros", "cKDTree", "paper, svc_ros", "paper, cKDTree"
 DENSE = "dense numpy"
 Look = tuple[SightLines, Array]
+_ROUNDED = 5e-4
 
 
 class DisagreementError(RuntimeError):
@@ -70,20 +71,25 @@ def check_jobs(pair: SizedPair, T: Array) -> dict[str, Callable[[], Any]]:
     }
     ours, twin = jobs[OURS](), jobs[TWIN]()
     require_same_lines(ours[0], twin[0])
-    require_same_lines(jobs[PAPER](), jobs[PAPER_TWIN]())
-    if not np.allclose(ours[1], twin[1], rtol=0.0, atol=1e-9):
+    require_same_lines(jobs[PAPER](), jobs[PAPER_TWIN](), exactly=True)
+    if not np.allclose(ours[1], twin[1], rtol=0.0, atol=_ROUNDED):
         raise DisagreementError(f"shares of the placed scan: {ours[1]}, the twin says {twin[1]}")
     return jobs
 
 
-def require_same_lines(ours: SightLines, twin: SightLines) -> None:
-    """Raise DisagreementError unless the same lines are blocked by the same points."""
+def require_same_lines(ours: SightLines, twin: SightLines, exactly: bool = False) -> None:
+    """Raise DisagreementError unless the same lines are blocked by the same points.
+
+    The default mode finds surface in float32: a point at the border, to a hundredth of a millimetre, may lie on it for
+    one and not for the other, so that up to _ROUNDED of the lines may differ.
+    """
+    allowed = 0 if exactly else round(_ROUNDED * ours.num_lines)
     for name in ("num_lines", "num_observed", "num_scattered"):
-        if getattr(ours, name) != getattr(twin, name):
+        if abs(getattr(ours, name) - getattr(twin, name)) > allowed:
             raise DisagreementError(f"{name}: {getattr(ours, name)}, the twin says {getattr(twin, name)}")
-    for name in ("blocked_idx", "blocker_idx"):
-        if not np.array_equal(getattr(ours, name), getattr(twin, name)):
-            raise DisagreementError(f"{name} of {ours.num_blocked} and {twin.num_blocked} blocked lines differ")
+    a, b = (set(zip(lines.blocked_idx.tolist(), lines.blocker_idx.tolist(), strict=True)) for lines in (ours, twin))
+    if len(a ^ b) > 2 * allowed:
+        raise DisagreementError(f"{len(a ^ b)} of {ours.num_blocked} and {twin.num_blocked} blocked lines differ")
 
 
 def compare_hypotheses(matches: Correspondences, config: HypothesisConfig, rounds: int) -> dict[str, Any]:

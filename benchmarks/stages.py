@@ -2,7 +2,7 @@
 
     python benchmarks/stages.py [--points N ...] [--correspondences N ...] [--poses K ...] [--rounds N]
 
-Writes the sections `stages`, `svc_check` and `hypotheses` of latest.json, and stages.png.
+Writes the sections `stages`, `svc_check`, `hypotheses` and `icp` of latest.json, and stages.png.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from _cases import Case, SizedPair, choose_evenly, choose_sets, correspond, forget, read_case, spread_indices, thin_pair
 from _checks import compare_checks, compare_hypotheses
 from _common import console, describe_run, parse_options, print_table, read_datasets
+from _icp_check import compare_icp
 from _latest import record
 from _stage_plot import draw
 from _timing import exponent, medians, time_in_turns
@@ -23,6 +24,7 @@ from svc_ros.core import hypotheses as generation
 from svc_ros.core.compatibility import compute_compatibility
 from svc_ros.core.config import with_values
 from svc_ros.core.features import compute_features
+from svc_ros.core.icp import refine_by_icp
 from svc_ros.core.matching import match
 from svc_ros.core.preprocess import estimate_normals, thin_on_voxel_grid
 from svc_ros.core.registration import verify
@@ -48,16 +50,17 @@ def main() -> None:
     checks = compare_checks(cases, options.points, options.check_at, options.rounds)
     matches = correspond(largest, options.correspondences[-1])
     found = compare_hypotheses(matches, largest.config.hypotheses, max(3, options.rounds // 2))
+    refined = compare_icp(cases, options.rounds)
     tables = {
         "points": against_points(largest, options.points, options.rounds),
         "correspondences": against_correspondences(largest, matches, options.correspondences, options.rounds),
         "hypotheses": against_poses(largest, matches, thin_pair(largest, options.check_at), options),
     }
-    show(tables, checks, found)
+    show(tables, {"svc_check": checks, "hypotheses": found, "icp": refined})
     draw(tables, checks["curves"], options.out / "stages.png")
     stages = {"dataset": largest.name, **tables}
     found["exponent"] = tables["correspondences"]["hypotheses"]["exponent"]
-    record(options.out, "stages", run, {"stages": stages, "svc_check": checks, "hypotheses": found})
+    record(options.out, "stages", run, {"stages": stages, "svc_check": checks, "hypotheses": found, "icp": refined})
 
 
 def extend(parser: argparse.ArgumentParser) -> None:
@@ -89,10 +92,12 @@ def point_stages(case: Case, pair: SizedPair, share: float) -> Jobs:
         "voxel grid": lambda: thin_on_voxel_grid(raw, source.voxel_size_m),
         "normals": lambda: estimate_normals(source.points, source.sensor_origin, config.preprocess),
         "FPFH": lambda: compute_features(source, config),
-        "matching": lambda: match(*described, config.matching),
+        "matching of all": lambda: match(*described, config.matching),
+        "first matching": lambda: match(*described, config.matching, config.matching.first_points),
         "first sight view": lambda: gather_evidence(forget(source), forget(target), T, config.sight_view),
         "sight view": lambda: gather_evidence(source, target, T, config.sight_view),
-        "pre-scoring": lambda: order_by_agreement(many, source, target, config.shortlist),
+        "pre-scoring": lambda: order_by_agreement(many, source, target, config),
+        "ICP": lambda: refine_by_icp(T, source, target, config, config.shortlist.icp_last_points),
         "verify": lambda: verify(source, target, T, config),
     }
 
@@ -120,7 +125,7 @@ def against_poses(case: Case, matches: Correspondences, pair: SizedPair, options
         return {
             "generation": lambda: generation.generate_hypotheses(matches, seeded),
             "ranking": lambda: generation.rank(T, matches, seeded),
-            "pre-scoring": lambda: order_by_agreement(T, pair.source, pair.target, config.shortlist),
+            "pre-scoring": lambda: order_by_agreement(T, pair.source, pair.target, case.config),
         }
 
     return grow({num: jobs(num) for num in options.poses}, options.rounds)
@@ -144,13 +149,13 @@ def grow(jobs_by_number: Mapping[int, Jobs], rounds: int) -> Table:
     return table
 
 
-def show(tables: Mapping[str, Table], checks: Mapping[str, Any], found: Mapping[str, Any]) -> None:
+def show(tables: Mapping[str, Table], sections: Mapping[str, Mapping[str, Any]]) -> None:
     """Print what was measured."""
     for name, table in tables.items():
         numbers = next(iter(table.values()))["number"]
         rows = [(stage, *values["time_ms"], values["exponent"]) for stage, values in table.items()]
         print_table(f"milliseconds against {name}", ("stage", *map(str, numbers), "exponent"), rows)
-    for title, values in (("svc_check", checks), ("hypotheses", found)):
+    for title, values in sections.items():
         for name, value in values.items():
             if isinstance(value, float):
                 console.print(f"{title}.{name} = {value:.3g}")

@@ -7,6 +7,7 @@ equal to the kernels' own, not merely near.
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 # --- spatial compatibility ------------------------------------------------------------------------------------
 
@@ -214,23 +215,34 @@ def free_met(
 # --- cheap look at many poses ---------------------------------------------------------------------------------
 
 
-def dilated_normals(points: np.ndarray, normals: np.ndarray, edge: float) -> dict[tuple[int, int, int], np.ndarray]:
-    """Sum of the normals around each cell that holds a point or stands beside one, scaled to length one."""
-    sums: dict[tuple[int, int, int], np.ndarray] = {}
-    for point, normal in zip(np.floor(points / edge).astype(int), normals, strict=True):
-        for step in np.ndindex(3, 3, 3):
-            cell = tuple(int(v) for v in point + step - 1)
-            sums[cell] = sums.get(cell, np.zeros(3)) + normal
-    return {cell: total / max(np.linalg.norm(total), 1e-9) for cell, total in sums.items()}
-
-
 def num_agreeing(
-    T: np.ndarray, points: np.ndarray, normals: np.ndarray, cells: dict[tuple[int, int, int], np.ndarray],
-    edge: float, min_cosine: float,
+    T: np.ndarray, source: tuple[np.ndarray, np.ndarray], target: tuple[np.ndarray, np.ndarray], radius: float,
+    min_cosine: float,
 ) -> int:  # fmt: skip
-    """Points that the pose puts into a cell whose normal agrees with theirs."""
-    count = 0
-    for point, normal in zip(points, normals, strict=True):
-        cell = tuple(int(v) for v in np.floor((T[:3, :3] @ point + T[:3, 3]) / edge))
-        count += cell in cells and float(T[:3, :3] @ normal @ cells[cell]) > min_cosine
-    return count
+    """Source points that the pose puts within the radius of a target point with an agreeing normal.
+
+    source, target: points and normals.
+    """
+    placed, turned = (values @ T[:3, :3].T + shift for values, shift in zip(source, (T[:3, 3], 0.0), strict=True))
+    nearest = nearest_within(placed, target[0], radius)
+    near = nearest >= 0
+    return int(((turned[near] * target[1][nearest[near]]).sum(1) > min_cosine).sum())
+
+
+# --- ICP ------------------------------------------------------------------------------------------------------
+
+
+def point_to_plane_icp(
+    T: np.ndarray, source: np.ndarray, target: tuple[np.ndarray, np.ndarray], radius: float, rounds: int
+) -> np.ndarray:
+    """Pose (4, 4) after Gauss-Newton rounds on the planes (points, normals) nearest to the placed source points."""
+    points, normals = target
+    for _ in range(rounds):
+        placed = source @ T[:3, :3].T + T[:3, 3]
+        nearest = nearest_within(placed, points, radius)
+        p, q, n = placed[nearest >= 0], points[nearest[nearest >= 0]], normals[nearest[nearest >= 0]]
+        step = np.linalg.lstsq(np.hstack([n, np.cross(p, n)]), -((p - q) * n).sum(1), rcond=None)[0]
+        moved = np.eye(4)
+        moved[:3, :3], moved[:3, 3] = Rotation.from_rotvec(step[3:]).as_matrix(), step[:3]
+        T = moved @ T
+    return T

@@ -62,10 +62,10 @@ def test_stages_measures_every_stage_and_both_twins(monkeypatch, data, tmp_path)
     found = run_main(stages, monkeypatch, data, tmp_path, *sizes, "--check-at", "500", "--rounds", "1")
     check = found["svc_check"]
     for value in (check["speedup_vs_kdtree_10k"], check["paper_speedup_vs_kdtree_10k"], check["exponent"],
-                  found["hypotheses"]["speedup_vs_dense_5000"]):  # fmt: skip
+                  found["hypotheses"]["speedup_vs_dense_5000"], found["icp"]["speedup_vs_small_gicp"]):  # fmt: skip
         assert math.isfinite(value)
     assert (check["points"], found["hypotheses"]["correspondences"]) == (500, 200)
-    assert {"voxel grid", "normals", "FPFH", "matching", "sight view", "pre-scoring", "verify"} <= set(
+    assert {"voxel grid", "normals", "FPFH", "first matching", "sight view", "ICP", "pre-scoring", "verify"} <= set(
         found["stages"]["points"]
     )
     for table, numbers in (("points", [300, 600]), ("correspondences", [100, 200]), ("hypotheses", [20, 40])):

@@ -102,3 +102,15 @@ def test_equal_to_one_row_only_is_no_crowd():
     assert len(matching.match(source, twin, CONFIG)) == 1
     assert len(matching.match(twin, source, CONFIG)) == 1
     assert len(matching.match(source, target, CONFIG)) == 1
+
+
+def test_a_part_is_matched_as_if_the_other_points_were_not_there():
+    source, target = described(unit_rows(200)), described(unit_rows(260))
+    found = matching.match(source, target, CONFIG, 66)
+    thinned = described(source.descriptors[::3]), described(target.descriptors[::3])  # 200 and 260 by 66
+    expected = [(3 * i, 3 * j) for i, j in pairs_of(matching.match(*thinned, CONFIG), *thinned)]
+    assert pairs_of(found, source, target) == expected
+    assert 0 < len(expected) < 67
+    assert pairs_of(matching.match(source, target, CONFIG), source, target) == reference.mutual_matches(
+        source.descriptors, target.descriptors
+    )  # the tree of the few is not taken for that of all

@@ -41,7 +41,7 @@ def test_every_method_of_the_config_can_choose_and_verify():
 def test_every_method_finds_the_room(room, method):
     result = register(*room, room_config(method=method, paper__max_blocked_ratio=0.1))
     assert (result.verdict, result.reason, result.method) == (Verdict.ACCEPTED, Reason.OK, method)
-    assert_same_pose(result.T_target_source, T_ROOM, 3.0, 0.2)
+    assert_same_pose(result.T_target_source, T_ROOM, 3.0, 0.3)  # two of the three do not refine on the surfaces
     assert_same_bits(result.T_target_source, result.best_candidate)
     assert 0.0 <= result.probability <= 1.0
     assert result.evidence.overlap_ratio > 0.5

@@ -1,11 +1,10 @@
-"""Distinct poses, and refinement that ends where the surfaces meet."""
+"""Distinct poses, and refinement on correspondences."""
 
 from __future__ import annotations
 
 import dataclasses
 
 import numpy as np
-import pytest
 from assertions import assert_same_bits, assert_same_pose
 from correspondence_cases import T_TRUE, random_case
 from scan_cases import T_ROOM, room_config, room_scans
@@ -16,7 +15,7 @@ from svc_ros.core import shortlist as stage
 from svc_ros.core.config import HypothesisConfig, ShortlistConfig
 from svc_ros.core.hypotheses import generate_hypotheses
 from svc_ros.core.matching import match
-from svc_ros.core.registration import extract_features, prepare
+from svc_ros.core.registration import extract_features
 
 LIMITS = ShortlistConfig(distinct_rotation_deg=5.0, distinct_translation_m=1.0)
 
@@ -67,39 +66,13 @@ def test_refinement_on_correspondences_leaves_a_pose_without_inliers():
     assert_same_bits(stage.refine_on_correspondences(T_TRUE, random_case(300), HypothesisConfig(), no_rounds), T_TRUE)
 
 
-@pytest.fixture(scope="module")
-def room():
-    config = room_config()
-    return (*(prepare(scan, config) for scan in room_scans()), config)
-
-
-@pytest.mark.parametrize("start", [pose(), pose(3.0, 0.2, 0.1), pose(-4.0, -0.1, 0.3)])
-def test_icp_ends_where_the_walls_meet(room, start):
-    source, target, config = room
-    refined = stage.refine_by_icp(T_ROOM @ start, source, target, config.shortlist, 3000)
-    assert_same_pose(refined, T_ROOM, 0.3, 0.03)
-
-
-def test_icp_there_and_back_are_inverse(room):
-    source, target, config = room
-    there = stage.refine_by_icp(T_ROOM, source, target, config.shortlist, 10_000)
-    back = stage.refine_by_icp(se3.invert(T_ROOM), target, source, config.shortlist, 10_000)
-    assert_same_pose(there @ back, np.eye(4), 0.3, 0.03)
-
-
-def test_icp_gives_the_same_bits_again(room):
-    source, target, config = room
-    runs = [stage.refine_by_icp(T_ROOM @ pose(2.0), source, target, config.shortlist, 1000) for _ in range(2)]
-    assert_same_bits(runs[0], runs[1])
-
-
 def test_the_shortlist_is_short_distinct_and_holds_the_right_pose():
     config = room_config(shortlist__max_poses=6)
     features = [extract_features(scan, config) for scan in room_scans()]
     correspondences = match(*features, config.matching)
     hypotheses = generate_hypotheses(correspondences, config.hypotheses)
     prepared = (features[0].prepared, features[1].prepared)
-    by_agreement = stage.order_by_agreement(hypotheses.T_target_source, *prepared, config.shortlist)
+    by_agreement = stage.order_by_agreement(hypotheses.T_target_source, *prepared, config)
     found = stage.shortlist(hypotheses, correspondences, by_agreement, config)
     assert 0 < len(found) <= 6
     assert len(stage.select_distinct(found, config.shortlist, 6)) == len(found)

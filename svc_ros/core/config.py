@@ -59,6 +59,7 @@ class MatchingConfig(Group):
     strategy: str = value(
         "mutual", "which nearest neighbours become correspondences", choices=("one_way", "mutual", "ratio")
     )
+    first_points: int = value(4500, "so many are matched at first, all if that is not accepted; 0: all", "", 0, 10**6)
     max_correspondences: int = value(5000, "the best by distance (ratio: by ratio) are kept", "", 3, 100_000)
     min_correspondences: int = value(10, "fewer are answered with too_few_correspondences", "", 3, 100_000)
 
@@ -94,7 +95,6 @@ class ShortlistConfig(Group):
     rough_points: int = value(300, "source points of the wide search's ICP", "", 50, 100_000)
     rough_view_points: int = value(3000, "points of each scan in the wide search's sight lines", "", 100, 1_000_000)
     rough_icp_distance_m: float = value(1.5, "largest distance of an ICP pair in the wide search", "m", 1e-3, 10.0)
-    prescore_cell_m: float = value(0.6, "cell of the cheap look at all hypotheses", "m", 0.01, 10.0)
     prescore_points: int = value(500, "source points of the cheap look", "", 10, 100_000)
     distinct_rotation_deg: float = value(5.0, "poses farther apart than this are distinct", "deg", 0.0, 180.0)
     distinct_translation_m: float = value(1.0, "poses farther apart than this are distinct", "m", 0.0, 100.0)
@@ -102,9 +102,9 @@ class ShortlistConfig(Group):
     max_moved_translation_m: float = value(0.72, "a given pose moved more by refinement is not right", "m", 0.0, 1e2)
     correspondence_rounds: int = value(20, "rounds of weighted Kabsch on the correspondences", "", 0, 100)
     correspondence_eps_m: float = value(1.2, "residual at which a weight is one half (eps)", "m", 1e-3, 10.0)
-    icp_rounds: int = value(12, "rounds of point-to-plane ICP", "", 0, 200)
+    icp_rounds: int = value(20, "rounds of point-to-plane ICP", "", 0, 200)
     icp_points: int = value(1000, "source points of the shortlist's ICP", "", 50, 1_000_000)
-    icp_last_points: int = value(5000, "source points of the last ICP, of the pose that is judged", "", 50, 1_000_000)
+    icp_last_points: int = value(3000, "source points of the last ICP, of the pose that is judged", "", 50, 1_000_000)
     icp_distance_m: float = value(1.0, "largest distance of an ICP pair", "m", 1e-3, 10.0)
 
 
@@ -238,7 +238,6 @@ PRESETS: dict[str, Config] = {
             "shortlist.correspondence_eps_m": 0.1,
             "shortlist.icp_distance_m": 0.15,
             "shortlist.rough_icp_distance_m": 0.2,
-            "shortlist.prescore_cell_m": 0.1,
             "sight_view.tolerance_m": 0.1,
             "sight_view.free_reach_m": 3.0,
             "decision.slip_m": 0.9,

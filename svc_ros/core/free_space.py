@@ -32,7 +32,7 @@ def count_free_blocked(observer: PreparedScan, placement: Placement, config: Sig
     )  # fmt: skip
     met = np.zeros(len(observer.free_directions), bool)
     sight_kernels.find_free_blocked(
-        placement.points, placement.normals, placement.nearest, observer.sensor_origin, limits,
+        placement.alone, placement.alone_normals, observer.sensor_origin, limits,
         grid.lines, grid.order, grid.cell_starts, grid.rows, grid.columns, met,
     )  # fmt: skip
     return int(met.sum())

@@ -7,23 +7,26 @@ from numpy.typing import NDArray
 
 from svc_ros.core.config import MatchingConfig
 from svc_ros.core.descriptor_tree import Descriptors, DescriptorTree, NearestRows
+from svc_ros.core.parallel import on_all_processors
 from svc_ros.core.scan import Array, Correspondences, Features, IndexArray
 
 _SAME_SQ_DISTANCE = 1e-7  # of unit rows of float32: rounding alone can make it
 
 
-def match(source: Features, target: Features, config: MatchingConfig) -> Correspondences:
-    """Match every source descriptor to its nearest target descriptor.
+def match(
+    source: Features, target: Features, config: MatchingConfig, num_points: int | None = None
+) -> Correspondences:
+    """Match every source descriptor to its nearest target descriptor, or about `num_points` of either scan.
 
     one_way keeps them all; mutual keeps those that are nearest in both directions, unless others are just as near;
     ratio keeps the mutual ones and ranks them by nearest over second nearest distance. The best
     `max_correspondences` are returned, in source order.
     """
-    source_idx, target_idx = find_described(source), find_described(target)
+    source_idx, target_idx = find_described(source, num_points), find_described(target, num_points)
     if len(source_idx) == 0 or len(target_idx) == 0:
         return Correspondences.from_points(np.zeros((0, 3)), np.zeros((0, 3)))
     a, b = source.descriptors[source_idx], target.descriptors[target_idx]
-    tree_a, tree_b = descriptor_tree(source), descriptor_tree(target)
+    tree_a, tree_b = on_all_processors(lambda features: descriptor_tree(features, num_points), (source, target))
     nearest = tree_b.find(a, with_second=config.strategy == "ratio")
     keep = np.arange(len(a))
     if config.strategy != "one_way":
@@ -67,18 +70,19 @@ def find_interchangeable(
     return np.asarray(crowded)
 
 
-def find_described(features: Features) -> IndexArray:
-    """Indices of the points that have a descriptor, one that is not all zeros."""
-    return np.flatnonzero(features.descriptors.any(1)).astype(np.int64)
+def find_described(features: Features, num_points: int | None = None) -> IndexArray:
+    """Indices of the points with a descriptor that is not all zeros; of many at least `num_points`, evenly."""
+    described = np.flatnonzero(features.descriptors.any(1)).astype(np.int64)
+    return described if num_points is None else described[:: max(1, len(described) // num_points)]
 
 
-def descriptor_tree(features: Features) -> DescriptorTree:
+def descriptor_tree(features: Features, num_points: int | None = None) -> DescriptorTree:
     """The tree of the described points, built on first use and kept with the scan, as long as it is of these."""
-    memo = features.prepared.memo
-    kept = memo.get("descriptor_tree")
+    memo, key = features.prepared.memo, ("descriptor_tree", num_points)
+    kept = memo.get(key)
     if kept is None or kept[0] is not features.descriptors:
-        kept = features.descriptors, DescriptorTree.build(features.descriptors[find_described(features)])
-        memo["descriptor_tree"] = kept
+        kept = features.descriptors, DescriptorTree.build(features.descriptors[find_described(features, num_points)])
+        memo[key] = kept
     tree: DescriptorTree = kept[1]
     return tree
 

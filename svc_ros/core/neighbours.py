@@ -5,18 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from svc_ros.core import neighbour_kernels, sight_kernels
+from svc_ros.core import nearest_kernels, neighbour_kernels, sight_kernels
 from svc_ros.core.scan import Array, IndexArray, PreparedScan
 
-_DIRECTION_CELL_DEG = 1.0
+_DIRECTION_CELL_DEG = 0.7  # high at the horizon, wide on average
 _MIN_RANGE_M = 1e-9
 _MAX_CELLS_ALONG = 1000  # a scan that is larger gets larger cells
+_LOWEST_CELL = 0.01  # of a column's edge: a cell's height at least
+_NOWHERE_M = 1e9
+
+IntArray = NDArray[np.int32]
 
 
 @dataclass(frozen=True, eq=False)
 class RadiusGrid:
-    """Cells in columns along z over points (N, 3) [m]: nearest neighbour within a fixed radius.
+    """Cells in columns along z over points (N, 3) [m]: all neighbours of a point within a fixed radius.
 
     shape: corner (3,), edge and columns along x and y; points: by cell; order: (N,) their original indices;
     column_low, column_first, starts: where the cells of a column and the points of a cell begin.
@@ -28,16 +33,11 @@ class RadiusGrid:
     column_low: IndexArray
     column_first: IndexArray
     starts: IndexArray
-    radius_m: float
 
     @classmethod
     def build(cls, points: Array, radius_m: float) -> RadiusGrid:
-        """Index `points` for queries within `radius_m`."""
-        corner, extent = np.zeros(3), np.zeros(3)
-        if len(points):
-            corner = points.min(0)
-            extent = points.max(0) - corner
-        edge = max(radius_m * (1.0 + 1e-9), float(extent.max()) / _MAX_CELLS_ALONG)
+        """Index `points` for what is within `radius_m` of each of them."""
+        corner, edge = _corner_and_edge(points, radius_m)
         i, j, level = np.floor((points - corner) / edge).astype(np.int64).T
         num_x, num_y = (int(a.max(initial=0)) + 1 for a in (i, j))
         column = i * num_y + j
@@ -48,23 +48,66 @@ class RadiusGrid:
         starts = np.empty(first[-1] + 1, np.int64)
         neighbour_kernels.fill_cells(column, level, low, first, starts)
         shape = np.array([*corner, edge, num_x, num_y])
-        return cls(shape, np.ascontiguousarray(points[order]), order, low, first, starts, radius_m)
+        return cls(shape, np.ascontiguousarray(points[order]), order, low, first, starts)
+
+
+@dataclass(frozen=True, eq=False)
+class NearestGrid:
+    """Points (N, 3) [m], nine times each, for the nearest one within a fixed radius of any query.
+
+    shape: corner (3,), edge of a column, columns along x and y, height of a cell; low, first, starts: where the cells
+    of a column and the entries of a cell begin; blocks: (B, 3, LANES) [m] from the corner; names: (B, LANES).
+    """
+
+    shape: Array
+    low: IntArray
+    first: IntArray
+    starts: IntArray
+    blocks: NDArray[np.float32]
+    names: IntArray
+    radius_m: float
+
+    @classmethod
+    def build(cls, points: Array, radius_m: float) -> NearestGrid:
+        """Index `points` for queries within `radius_m`."""
+        corner, edge = _corner_and_edge(points, radius_m)
+        num_x, num_y = (int(np.max((points[:, k] - corner[k]) / edge, initial=0.0)) + 1 for k in range(2))
+        shape = np.array([*corner, edge, num_x, num_y, max(radius_m, _LOWEST_CELL * edge) / nearest_kernels.LEVELS])
+        num_columns, lanes = (num_x + 2) * (num_y + 2), nearest_kernels.LANES
+        columns, levels = np.empty(len(points), np.int32), np.empty(len(points), np.int32)
+        low, first = np.empty(num_columns, np.int32), np.empty(num_columns + 1, np.int32)
+        num_cells = nearest_kernels.fill_levels(points, shape, columns, levels, low, first)
+        num_blocks = -(-9 * len(points) // lanes)
+        starts, names = np.empty(num_cells + 1, np.int32), np.empty((num_blocks, lanes), np.int32)
+        blocks = np.empty((num_blocks, 3, lanes), np.float32)
+        blocks[-1:] = _NOWHERE_M
+        nearest_kernels.fill_blocks(points, shape, columns, levels, low, first, starts, blocks, names)
+        return cls(shape, low, first, starts, blocks, names, radius_m)
 
     @property
-    def tables(self) -> tuple[Array, Array, IndexArray, IndexArray, IndexArray, IndexArray]:
+    def tables(self) -> tuple[Array, IntArray, IntArray, IntArray, NDArray[np.float32], IntArray]:
         """The grid as kernels take it."""
-        return self.shape, self.points, self.order, self.column_low, self.column_first, self.starts
+        return self.shape, self.low, self.first, self.starts, self.blocks, self.names
 
     def nearest(self, queries: Array) -> IndexArray:
         """Index (M,) of the nearest point within the radius of each query (M, 3), -1 where there is none."""
         result = np.empty(len(queries), np.int64)
-        neighbour_kernels.find_nearest(np.ascontiguousarray(queries), self.radius_m, *self.tables, result)
+        nearest_kernels.find_nearest(np.ascontiguousarray(queries), self.radius_m, *self.tables, result)
         return result
+
+
+def _corner_and_edge(points: Array, radius_m: float) -> tuple[Array, float]:
+    """Lowest corner (3,) of points (N, 3), and an edge of cells that is no smaller than the radius."""
+    if len(points) == 0:
+        return np.zeros(3), radius_m
+    corner = points.min(0)
+    extent = float((points.max(0) - corner).max())
+    return corner, max(radius_m * (1.0 + 1e-9), extent / _MAX_CELLS_ALONG)
 
 
 @dataclass(frozen=True, eq=False)
 class DirectionGrid:
-    """Sight lines of an observer, sorted into elevation-azimuth cells.
+    """Sight lines of an observer, sorted into cells of elevation and azimuth.
 
     lines: (L, 8) in cell order, relative to the sensor: end point, range [m], normal, tangent of the incidence angle;
     order: their original indices; cell_starts: (rows * columns + 1,).
@@ -72,30 +115,30 @@ class DirectionGrid:
 
     lines: Array
     order: IndexArray
-    cell_starts: IndexArray
+    cell_starts: IntArray
     rows: int
     columns: int
 
     @classmethod
     def build(cls, relative_points: Array, normals: Array) -> DirectionGrid:
         """Sort points (N, 3) [m], given relative to the sensor, by direction. One at the sensor itself has none."""
-        rows, columns = round(180 / _DIRECTION_CELL_DEG), round(360 / _DIRECTION_CELL_DEG)
+        rows, columns = round(2.0 / np.radians(_DIRECTION_CELL_DEG)), round(360 / _DIRECTION_CELL_DEG)
         seen = np.flatnonzero(np.square(relative_points).sum(1) > _MIN_RANGE_M**2)
         cells = np.empty(len(seen), np.int64)
         sight_kernels.fill_direction_cells(relative_points[seen], rows, columns, cells)
         order = seen[np.argsort(cells, kind="stable")]
-        starts = np.concatenate(([0], np.cumsum(np.bincount(cells, minlength=rows * columns))))
+        starts = np.concatenate(([0], np.cumsum(np.bincount(cells, minlength=rows * columns)))).astype(np.int32)
         lines = np.empty((len(order), 8))
         sight_kernels.fill_lines(np.ascontiguousarray(relative_points), normals, order, lines)
         return cls(lines, order, starts, rows, columns)
 
 
-def radius_grid(scan: PreparedScan, radius_m: float) -> RadiusGrid:
-    """The scan's own RadiusGrid of that radius, built on first use."""
-    key = ("radius_grid", radius_m)
+def nearest_grid(scan: PreparedScan, radius_m: float) -> NearestGrid:
+    """The scan's own NearestGrid of that radius, built on first use."""
+    key = ("nearest_grid", radius_m)
     if key not in scan.memo:
-        scan.memo[key] = RadiusGrid.build(scan.points, radius_m)
-    grid: RadiusGrid = scan.memo[key]
+        scan.memo[key] = NearestGrid.build(scan.points, radius_m)
+    grid: NearestGrid = scan.memo[key]
     return grid
 
 

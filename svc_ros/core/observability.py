@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from svc_ros.core import placement_kernels
 from svc_ros.core.config import SightViewConfig
 from svc_ros.core.decision_config import CovarianceConfig
-from svc_ros.core.placement import place
+from svc_ros.core.neighbours import nearest_grid
 from svc_ros.core.scan import Array, PreparedScan
 
 
@@ -63,13 +64,13 @@ def find_contact(
     source: PreparedScan, target: PreparedScan, T_target_source: Array, config: SightViewConfig
 ) -> SurfaceContact:
     """Source points that lie on target surface facing the same way, with the planes they lie on."""
-    placed = place(target, source, T_target_source, config)
-    near = np.flatnonzero(placed.nearest >= 0)
-    planes = target.normals[placed.nearest[near]]
-    same = np.einsum("ij,ij->i", placed.normals[near], planes) > config.same_side_cosine
-    chosen, planes = near[same], planes[same]
-    offset = placed.points[chosen] - target.points[placed.nearest[chosen]]
-    return SurfaceContact(placed.points[chosen], planes, np.einsum("ij,ij->i", offset, planes))
+    points, normals, residuals = np.empty_like(source.points), np.empty_like(source.points), np.empty(len(source))
+    num = placement_kernels.pick_contact(
+        np.ascontiguousarray(T_target_source), source.points, source.normals, target.points, target.normals,
+        nearest_grid(target, config.tolerance_m).tables, np.array([config.tolerance_m, config.same_side_cosine]),
+        points, normals, residuals,
+    )  # fmt: skip
+    return SurfaceContact(points[:num], normals[:num], residuals[:num])
 
 
 def shift(T_target_source: Array, direction: Array, distance_m: float) -> Array:

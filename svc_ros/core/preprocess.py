@@ -8,13 +8,14 @@ from numpy.typing import NDArray
 from svc_ros.core import raw_scan_kernels, surface_kernels
 from svc_ros.core.config import PreprocessConfig
 from svc_ros.core.errors import ConfigError, TooFewPointsError
-from svc_ros.core.neighbours import RadiusGrid
+from svc_ros.core.neighbours import NearestGrid, RadiusGrid
 from svc_ros.core.parallel import in_parts, on_all_processors
 from svc_ros.core.scan import Array, PreparedScan, Scan
 
 _SECTOR_DEG = 0.5
 _EVERY_SECTOR = 6  # a sixth of the points shows the spacing as well as all of them
 _SAME_BEAM_DEG, _NEXT_SECTOR = 0.05, 500.0  # keys of two sectors differ by more, those of one by less
+_COLUMN_VOXELS = 4.0  # edge of the columns that sort the points
 _FREE_CELL = float(np.radians(1.0))  # edge on the unit sphere: one free direction a cell, no return as near to it
 
 
@@ -77,16 +78,19 @@ def thin_on_voxel_grid(points: Array, voxel_size_m: float) -> Array:
         points, corner, voxel_size_m, extent.astype(np.int64), cells, fractions, counts
     )  # fmt: skip
     mean = fractions[:num] / (raw_scan_kernels.FRACTION_STEPS * counts[:num, None])
-    return _sort_points(corner + voxel_size_m * (cells[:num] + mean))
+    return _sort_points(corner + voxel_size_m * (cells[:num] + mean), _COLUMN_VOXELS * voxel_size_m)
 
 
-def _sort_points(points: Array) -> Array:
-    """By z, then y, then x; only the few that share their z need more than the first."""
-    order = np.argsort(points[:, 2])
-    z = points[order, 2]
-    same = np.concatenate([[False], z[1:] == z[:-1], [False]])
-    tied = np.flatnonzero(same[1:] | same[:-1])
-    order[tied] = order[tied][np.lexsort(points[order[tied]].T)]
+def _sort_points(points: Array, edge_m: float) -> Array:
+    """Column by column, each upwards: what lies together in space does so in memory. Equal places by y, then x."""
+    corner, height = points.min(0), float(np.ptp(points[:, 2])) + edge_m
+    i, j = np.floor((points[:, :2] - corner[:2]) / edge_m).T
+    place = i * (j.max() + 1) + j + (points[:, 2] - corner[2]) / height
+    order = np.argsort(place)
+    place = place[order]
+    same = np.concatenate([[False], place[1:] == place[:-1], [False]])
+    tied = np.flatnonzero(same[1:] | same[:-1])  # only these need more than the first number
+    order[tied] = order[tied][np.lexsort((*points[order[tied]].T, place[tied]))]
     return points[order]
 
 
@@ -100,7 +104,7 @@ def thin_free_directions(scan: Scan) -> Array:
     thinned = _units(thin_on_voxel_grid(scan.free_directions, _FREE_CELL))
     seen = scan.points - scan.sensor_origin
     returns = _units(seen[np.square(seen).sum(1) > 0])
-    return thinned[RadiusGrid.build(returns, _FREE_CELL).nearest(thinned) < 0]
+    return thinned[NearestGrid.build(returns, _FREE_CELL).nearest(thinned) < 0]
 
 
 def _units(vectors: Array) -> Array:

@@ -14,6 +14,7 @@ from svc_ros.core.preprocess import preprocess
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Correspondences, Features, PreparedScan, Scan
 from svc_ros.core.se3 import check_pose, nearest_pose
+from svc_ros.core.selection import Pair
 from svc_ros.core.stopwatch import Stopwatch
 
 
@@ -36,30 +37,35 @@ def register(
     descriptors) take the place of FPFH matching. No alignment is a verdict, never an exception; broken input raises
     an InputError (TooFewPointsError for a scan without enough points).
     """
-    watch = Stopwatch()
-    # Thin the scans and turn their normals to the sensor.
-    with watch.stage("prepare"):
-        source_scan, target_scan = _both_prepared(source, target, config)
-    # Describe every point and match the descriptors.
-    if correspondences is None:
-        with watch.stage("features"):
-            source_features = _described(source, source_scan, config)
-            target_features = _described(target, target_scan, config)
-        with watch.stage("matching"):
-            correspondences = match(source_features, target_features, config.matching)
-    counts = _count_points(source_scan, target_scan) | {"correspondences": len(correspondences)}
+    pair = _prepared_pair(source, target, config, Stopwatch())
+    if correspondences is not None:
+        return _answer(pair, correspondences)
+    # Describe every point.
+    with pair.watch.stage("features"):
+        described = _described(source, pair.source, config), _described(target, pair.target, config)
+    # Match the descriptors; a part of many is enough for most pairs, and all are matched where it is not.
+    if config.method == "svc" and 0 < config.matching.first_points < max(map(len, described)):
+        result = _answer(pair.without_wide_search(), _matched(pair, described, config.matching.first_points))
+        if result.accepted:
+            return result
+    return _answer(pair, _matched(pair, described))
+
+
+def _answer(pair: Pair, correspondences: Correspondences) -> RegistrationResult:
+    """The verdict that correspondences lead to."""
+    config, counts = pair.config, pair.counts
+    counts["correspondences"] = len(correspondences)
     if len(correspondences) < config.matching.min_correspondences:
         detail = f"{len(correspondences)} correspondences, at least {config.matching.min_correspondences} are needed"
-        return _unanswered(Reason.TOO_FEW_CORRESPONDENCES, detail, config, counts, watch)
+        return _unanswered(Reason.TOO_FEW_CORRESPONDENCES, detail, pair)
     # Poses that many correspondences agree on.
-    with watch.stage("hypotheses"):
+    with pair.watch.stage("hypotheses"):
         hypotheses = generate_hypotheses(correspondences, config.hypotheses)
     counts["hypotheses"] = len(hypotheses)
     if len(hypotheses) == 0:
-        return _unanswered(Reason.NO_HYPOTHESIS, "no consistent set of correspondences", config, counts, watch)
+        return _unanswered(Reason.NO_HYPOTHESIS, "no consistent set of correspondences", pair)
     # Choose one of them and judge it, each method in its own way.
-    choose = selection.METHODS[config.method]
-    return choose(selection.Pair(source_scan, target_scan, config, counts, watch), correspondences, hypotheses)
+    return selection.METHODS[config.method](pair, correspondences, hypotheses)
 
 
 def verify(
@@ -69,19 +75,18 @@ def verify(
     config: Config,
 ) -> RegistrationResult:
     """Judge a pose that somebody else found. It is refined first, within bounds; raises InputError if it is no pose."""
-    watch = Stopwatch()
     T = nearest_pose(check_pose(T_target_source))
+    return selection.VERIFIERS[config.method](_prepared_pair(source, target, config, Stopwatch()), T)
+
+
+def _prepared_pair(
+    source: Scan | PreparedScan | Features, target: Scan | PreparedScan | Features, config: Config, watch: Stopwatch
+) -> Pair:
+    """Thin the scans and turn their normals to the sensor, unless that was done before."""
     with watch.stage("prepare"):
-        source_scan, target_scan = _both_prepared(source, target, config)
-    counts = _count_points(source_scan, target_scan)
-    return selection.VERIFIERS[config.method](selection.Pair(source_scan, target_scan, config, counts, watch), T)
-
-
-def _both_prepared(
-    source: Scan | PreparedScan | Features, target: Scan | PreparedScan | Features, config: Config
-) -> tuple[PreparedScan, PreparedScan]:
-    source_scan, target_scan = on_all_processors(lambda scan: _prepared(scan, config), (source, target))
-    return source_scan, target_scan
+        source_scan, target_scan = on_all_processors(lambda scan: _prepared(scan, config), (source, target))
+    counts = {"source_points": len(source_scan), "target_points": len(target_scan)}
+    return Pair(source_scan, target_scan, config, counts, watch)
 
 
 def _prepared(scan: Scan | PreparedScan | Features, config: Config) -> PreparedScan:
@@ -94,13 +99,13 @@ def _described(given: Scan | Features, prepared: PreparedScan, config: Config) -
     return given if isinstance(given, Features) else compute_features(prepared, config)
 
 
-def _count_points(source: PreparedScan, target: PreparedScan) -> dict[str, int]:
-    return {"source_points": len(source), "target_points": len(target)}
+def _matched(pair: Pair, described: tuple[Features, Features], num_points: int | None = None) -> Correspondences:
+    with pair.watch.stage("matching"):
+        return match(*described, pair.config.matching, num_points)
 
 
-def _unanswered(
-    reason: Reason, detail: str, config: Config, counts: dict[str, int], watch: Stopwatch
-) -> RegistrationResult:
+def _unanswered(reason: Reason, detail: str, pair: Pair) -> RegistrationResult:
     return RegistrationResult(
-        Verdict.REJECTED, reason, config.method, probability=0.0, counts=counts, time_ms=watch.times(), detail=detail
-    )
+        Verdict.REJECTED, reason, pair.config.method, probability=0.0, counts=pair.counts, time_ms=pair.watch.times(),
+        detail=detail,
+    )  # fmt: skip

@@ -6,12 +6,13 @@ the default, every distinct hypothesis refined, looked at along the sight lines 
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from svc_ros.core import decision, paper_rule, shortlist
+from svc_ros.core import decision, icp, paper_rule, shortlist
 from svc_ros.core.config import Config
 from svc_ros.core.evidence import SightViewEvidence
 from svc_ros.core.observability import SurfaceContact, find_contact, shift
@@ -36,6 +37,11 @@ class Pair:
     counts: dict[str, int]
     watch: Stopwatch
 
+    def without_wide_search(self) -> Pair:
+        """The same pair, counts and times, for a first try: nothing is searched if none of its poses is accepted."""
+        few = dataclasses.replace(self.config.shortlist, rough_poses=0)
+        return dataclasses.replace(self, config=dataclasses.replace(self.config, shortlist=few))
+
     def look(self, T: Array) -> SightViewEvidence:
         """The evidence of one pose."""
         with self.watch.stage("sight_view"):
@@ -59,7 +65,7 @@ class Pair:
     def refine(self, T: Array, num_points: int) -> Array:
         """One pose after ICP with about that many points."""
         with self.watch.stage("refinement"):
-            return shortlist.refine_by_icp(T, self.source, self.target, self.config.shortlist, num_points)
+            return icp.refine_by_icp(T, self.source, self.target, self.config, num_points)
 
     def contact(self, T: Array) -> SurfaceContact:
         """The agreeing surface under one pose."""
@@ -131,9 +137,7 @@ def choose_svc(pair: Pair, correspondences: Correspondences, hypotheses: Hypothe
     """Judge the pose that looks best along the sight lines; if it is not accepted, look much wider and judge again."""
     config = pair.config
     with pair.watch.stage("shortlist"):
-        by_agreement = shortlist.order_by_agreement(
-            hypotheses.T_target_source, pair.source, pair.target, config.shortlist
-        )
+        by_agreement = shortlist.order_by_agreement(hypotheses.T_target_source, pair.source, pair.target, config)
         starts = shortlist.shortlist(hypotheses, correspondences, by_agreement, config)
         poses, promise = _look_roughly(pair, starts)
     result = _choose_best(pair, poses[promise > promise[0] - _HOPELESS])
@@ -148,10 +152,15 @@ def _look_roughly(pair: Pair, starts: Array) -> tuple[Array, Array]:
     Best first. Few points overstate what is blocked, of all poses alike: they rank, and only far apart they tell.
     """
     limits, view = pair.config.shortlist, pair.config.sight_view
-    T = np.array([shortlist.refine_roughly(start, pair.source, pair.target, limits) for start in starts])
     source, target = (thinned_scan(scan, limits.rough_view_points) for scan in (pair.source, pair.target))
-    looks = on_all_processors(lambda pose: gather_evidence(source, target, pose, view), list(T))
-    promise = np.array([pair.promise(evidence) for evidence in looks])
+    on_all_processors(lambda scan: index(scan, view), (source, target))
+    icp.index(pair.target, pair.config)
+
+    def look(start: Array) -> tuple[Array, float]:
+        refined = icp.refine_roughly(start, pair.source, pair.target, pair.config)
+        return refined, pair.promise(gather_evidence(source, target, refined, view))
+
+    T, promise = (np.array(values) for values in zip(*on_all_processors(look, starts), strict=True))
     order = np.argsort(-promise, kind="stable")
     return T[order], promise[order]
 

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import small_gicp
 from numpy.typing import NDArray
 
 from svc_ros.core import se3
 from svc_ros.core.config import Config, HypothesisConfig, ShortlistConfig
-from svc_ros.core.parallel import num_processors
-from svc_ros.core.prescore import prescore, thin_evenly
+from svc_ros.core.prescore import prescore
 from svc_ros.core.scan import Array, Correspondences, HypothesisSet, IndexArray, PreparedScan
-
-_ROUNDS_A_CALL = 3
 
 
 def select_distinct(T: Array, config: ShortlistConfig, limit: int) -> IndexArray:
@@ -60,45 +54,9 @@ def refine_on_correspondences(
     return T
 
 
-def refine_by_icp(
-    T: Array, source: PreparedScan, target: PreparedScan, config: ShortlistConfig, num_points: int
-) -> Array:
-    """Pose (4, 4) after point-to-plane ICP (small_gicp, one thread: the same bits every time).
-
-    From far away with few points first, then from half as far with about `num_points` of the source's.
-    """
-    few = min(config.icp_points, num_points)
-    first = _align(T, (source, target), few, config.icp_distance_m, config.icp_rounds)
-    return _align(first, (source, target), num_points, 0.5 * config.icp_distance_m, config.icp_rounds)
-
-
-def refine_roughly(T: Array, source: PreparedScan, target: PreparedScan, config: ShortlistConfig) -> Array:
-    """ICP with a few hundred points from farther away: enough to see whether a hypothesis leads anywhere."""
-    for distance in (config.rough_icp_distance_m, 0.5 * config.rough_icp_distance_m):
-        T = _align(T, (source, target), config.rough_points, distance, config.icp_rounds // 2)
-    return T
-
-
-def _align(
-    T: Array, pair: tuple[PreparedScan, PreparedScan], num_points: int, distance_m: float, rounds: int
-) -> Array:
-    """Point-to-plane ICP, a few rounds a call: each call keeps Python's lock, and other threads wait for it."""
-    source, target = pair
-    for done in range(0, rounds, _ROUNDS_A_CALL):
-        result = small_gicp.align(
-            surface_cloud(target), thinned_cloud(source, num_points), surface_tree(target), T,
-            registration_type="PLANE_ICP", max_correspondence_distance=distance_m,
-            max_iterations=min(_ROUNDS_A_CALL, rounds - done), rotation_epsilon=1e-4, translation_epsilon=1e-4,
-        )  # fmt: skip
-        T = result.T_target_source
-        if result.converged:
-            break
-    return se3.nearest_pose(T)
-
-
-def order_by_agreement(T: Array, source: PreparedScan, target: PreparedScan, config: ShortlistConfig) -> Array:
+def order_by_agreement(T: Array, source: PreparedScan, target: PreparedScan, config: Config) -> Array:
     """The poses (H, 4, 4), those first that put most of the source on agreeing target surface."""
-    agreement = prescore(T, source, target, config.prescore_cell_m, config.prescore_points)
+    agreement = prescore(T, source, target, config.sight_view.tolerance_m, config.shortlist.prescore_points)
     return T[np.argsort(-agreement, kind="stable")]
 
 
@@ -120,27 +78,3 @@ def shortlist(
         )
         poses = poses[select_distinct(poses, limits, limits.max_poses)]
     return poses
-
-
-def thinned_cloud(scan: PreparedScan, num_points: int) -> Any:
-    """About `num_points` of the scan's points as a small_gicp cloud, built on first use."""
-    key = ("thinned_cloud", num_points)
-    if key not in scan.memo:
-        scan.memo[key] = small_gicp.PointCloud(scan.points[thin_evenly(len(scan), num_points)])
-    return scan.memo[key]
-
-
-def surface_cloud(scan: PreparedScan) -> Any:
-    """The scan as a small_gicp cloud with normals, built on first use."""
-    if "surface_cloud" not in scan.memo:
-        cloud = small_gicp.PointCloud(scan.points)
-        small_gicp.estimate_normals(cloud, surface_tree(scan), num_neighbors=10, num_threads=num_processors())
-        scan.memo["surface_cloud"] = cloud
-    return scan.memo["surface_cloud"]
-
-
-def surface_tree(scan: PreparedScan) -> Any:
-    """The scan's kd-tree for ICP, built on first use."""
-    if "surface_tree" not in scan.memo:
-        scan.memo["surface_tree"] = small_gicp.KdTree(scan.points)
-    return scan.memo["surface_tree"]

@@ -7,21 +7,32 @@ from numba import njit
 
 _jit = njit(nogil=True, cache=True, error_model="numpy")
 
+_ROUNDING = 1e-6  # of a cell: so near to its border a direction is looked for on both sides
+
+
+@_jit
+def quarter_turns(x, y):  # type: ignore[no-untyped-def]
+    """Grows with the azimuth of (x, y), one in each quarter from 0 to 4; no angle is computed."""
+    size = abs(x) + abs(y)
+    along = y / size if size > 0.0 else 0.0
+    if x < 0.0:
+        return 2.0 - along
+    return along if along >= 0.0 else 4.0 + along
+
 
 @_jit
 def fill_direction_cells(points, rows, columns, cells):  # type: ignore[no-untyped-def]
-    """cells (N,): row-major elevation-azimuth cell of each point's direction from the origin."""
+    """cells (N,): row-major cell of each point's direction from the origin: by sine of its elevation, by azimuth."""
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        flat = np.sqrt(x * x + y * y)
-        row = int((np.arctan2(z, flat) / np.pi + 0.5) * rows)
-        column = int((np.arctan2(y, x) / (2.0 * np.pi) + 0.5) * columns)
+        row = int((0.5 * z / np.sqrt(x * x + y * y + z * z) + 0.5) * rows)
+        column = int(0.25 * quarter_turns(x, y) * columns)
         cells[i] = min(max(row, 0), rows - 1) * columns + min(max(column, 0), columns - 1)
 
 
 @_jit
 def fill_lines(points, normals, order, lines):  # type: ignore[no-untyped-def]
-    """lines (L, 8): end point, range, normal and tangent of the angle between ray and normal of each sight line."""
+    """lines (L, 8): end point, range, normal and tangent of the incidence angle of each sight line."""
     for i in range(order.shape[0]):
         x, y, z = points[order[i], 0], points[order[i], 1], points[order[i], 2]
         a, b, c = normals[order[i], 0], normals[order[i], 1], normals[order[i], 2]
@@ -33,34 +44,41 @@ def fill_lines(points, normals, order, lines):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def arcsine_bound(x):  # type: ignore[no-untyped-def]
-    """No less than arcsin(x) for x >= 0, and little more; pi where x > 1."""
-    if x < 0.1:
-        return 1.002 * x
-    return np.arcsin(x) if x <= 1.0 else np.pi
-
-
-@_jit
 def cells_around(x, y, z, sine, rows, columns):  # type: ignore[no-untyped-def]
-    """First and last row, first and last column (to be taken modulo) of the directions within an angle of (x, y, z)."""
-    row_step, column_step = rows / np.pi, columns / (2.0 * np.pi)
-    flat, angle = np.sqrt(x * x + y * y), arcsine_bound(sine)
-    elevation, azimuth = np.arctan2(z, flat) + 0.5 * np.pi, np.arctan2(y, x) + np.pi
-    row_from, row_to = max(int((elevation - angle) * row_step), 0), min(int((elevation + angle) * row_step), rows - 1)
+    """First and last row, first and last column of the cells that hold all directions within an angle of (x, y, z).
+
+    sine: of that angle, less than a right one. Columns go round: the last one may be beyond the number of columns.
+    """
+    flat = np.sqrt(x * x + y * y)
     length = np.sqrt(flat * flat + z * z)
-    cosine = (flat * np.sqrt(1.0 - sine * sine) - abs(z) * sine) / length  # of the elevation nearest to a pole
-    spread = arcsine_bound(sine / cosine) if cosine > 0.0 else np.pi
-    column_from = int(np.floor((azimuth - spread) * column_step))
-    column_to = min(int(np.floor((azimuth + spread) * column_step)), column_from + columns - 1)
-    return row_from, row_to, column_from, column_to
+    up, level, cosine = z / length, flat / length, np.sqrt(1.0 - sine * sine)
+    low, high = up * cosine - level * sine, up * cosine + level * sine  # sines of the lowest and highest elevation
+    column_from, column_to = 0, columns - 1
+    if level > sine:
+        aside = sine / level  # sine of the azimuth between the direction and the farthest ones around it
+        ahead = np.sqrt(1.0 - aside * aside)
+        first = quarter_turns(x * ahead + y * aside, y * ahead - x * aside)
+        last = quarter_turns(x * ahead - y * aside, y * ahead + x * aside)
+        column_from = int(np.floor(0.25 * first * columns - _ROUNDING))
+        column_to = int(np.floor(0.25 * last * columns + _ROUNDING))
+        if column_from < 0:
+            column_from, column_to = column_from + columns, column_to + columns
+        column_to += columns if column_to < column_from else 0
+    elif z > 0.0:  # a pole, and so all azimuths, are among them
+        high = 1.0
+    else:
+        low = -1.0
+    row_from = max(int((0.5 * low + 0.5) * rows - _ROUNDING), 0)
+    row_to = min(int((0.5 * high + 0.5) * rows + _ROUNDING), rows - 1)
+    return row_from, row_to, column_from, min(column_to, column_from + columns - 1)
 
 
 @_jit
-def find_blockers(placed, turned, nearest, origin, limits, max_blocked, lines, order, cell_starts, rows, columns, blocker, blocker_range, observed):  # type: ignore[no-untyped-def]  # fmt: skip  # noqa: E501
+def find_blockers(placed, turned, origin, limits, max_blocked, lines, order, cell_starts, rows, columns, blocker, blocker_range, observed):  # type: ignore[no-untyped-def]  # fmt: skip  # noqa: E501
     """Find the sight lines that end behind a point of the other scan; return how many.
 
-    placed, turned (M, 3): the other scan's points and normals in the observer's frame; nearest (M,): those with an
-    entry >= 0 lie on the observer's own surface and block nothing; origin (3,): the sensor;
+    placed, turned (M, 3): those points of the other scan, with their normals, in the observer's frame that lie on
+    nothing of the observer's own surface; origin (3,): the sensor;
     limits: (tolerance, beam radius, sine of the largest half angle, largest tangent of the incidence angle);
     max_blocked: the search ends as soon as more lines are blocked;
     lines (L, 8): as fill_lines leaves them, sorted by direction cell; order (L,): their names;
@@ -73,8 +91,6 @@ def find_blockers(placed, turned, nearest, origin, limits, max_blocked, lines, o
     tolerance, radius, max_sine, max_tangent = limits[0], limits[1], limits[2], limits[3]
     num_blocked = 0
     for m in range(placed.shape[0]):
-        if nearest[m] >= 0:
-            continue
         px, py, pz = placed[m, 0] - origin[0], placed[m, 1] - origin[1], placed[m, 2] - origin[2]
         flat = np.sqrt(px * px + py * py)
         sq_p = flat * flat + pz * pz
@@ -84,9 +100,10 @@ def find_blockers(placed, turned, nearest, origin, limits, max_blocked, lines, o
         sq_limit = min(radius, p_range * max_sine) ** 2
         row_from, row_to, column_from, column_to = cells_around(px, py, pz, np.sqrt(sq_limit) / p_range, rows, columns)
         for row in range(row_from, row_to + 1):
-            for column in range(column_from, column_to + 1):
-                cell = row * columns + column % columns
-                for i in range(cell_starts[cell], cell_starts[cell + 1]):
+            for part in range(2 if column_to >= columns else 1):
+                first, last = (column_from, min(column_to, columns - 1)) if part == 0 else (0, column_to - columns)
+                begin, end = cell_starts[row * columns + first], cell_starts[row * columns + last + 1]
+                for i in range(begin, end):
                     qx, qy, qz, q_range = lines[i, 0], lines[i, 1], lines[i, 2], lines[i, 3]
                     dot = px * qx + py * qy + pz * qz
                     if dot <= 0.0:
@@ -114,18 +131,16 @@ def find_blockers(placed, turned, nearest, origin, limits, max_blocked, lines, o
 
 
 @_jit
-def find_free_blocked(placed, turned, nearest, origin, limits, rays, order, cell_starts, rows, columns, met):  # type: ignore[no-untyped-def]
+def find_free_blocked(placed, turned, origin, limits, rays, order, cell_starts, rows, columns, met):  # type: ignore[no-untyped-def]
     """met (F,): whether a free ray, by its name, meets a placed point that the sensor would have seen.
 
-    placed, turned, nearest, origin: as in find_blockers; limits: (beam radius, sine of its largest half angle,
+    placed, turned, origin: as in find_blockers; limits: (beam radius, sine of its largest half angle,
     smallest range, range of a surface met head on, largest tangent of the incidence angle);
     rays (F, 8): unit directions as fill_lines leaves them, sorted by direction cell; order (F,): their names.
     """
     radius, max_sine, min_range, reach, max_tangent = limits[0], limits[1], limits[2], limits[3], limits[4]
     min_cosine = 1.0 / np.sqrt(1.0 + max_tangent * max_tangent)
     for m in range(placed.shape[0]):
-        if nearest[m] >= 0:
-            continue
         px, py, pz = placed[m, 0] - origin[0], placed[m, 1] - origin[1], placed[m, 2] - origin[2]
         sq_p = px * px + py * py + pz * pz
         p_range = np.sqrt(sq_p)
@@ -137,9 +152,10 @@ def find_free_blocked(placed, turned, nearest, origin, limits, rays, order, cell
         sq_limit = min(radius, p_range * max_sine) ** 2
         row_from, row_to, column_from, column_to = cells_around(px, py, pz, np.sqrt(sq_limit) / p_range, rows, columns)
         for row in range(row_from, row_to + 1):
-            for column in range(column_from, column_to + 1):
-                cell = row * columns + column % columns
-                for i in range(cell_starts[cell], cell_starts[cell + 1]):
+            for part in range(2 if column_to >= columns else 1):
+                first, last = (column_from, min(column_to, columns - 1)) if part == 0 else (0, column_to - columns)
+                begin, end = cell_starts[row * columns + first], cell_starts[row * columns + last + 1]
+                for i in range(begin, end):
                     dot = px * rays[i, 0] + py * rays[i, 1] + pz * rays[i, 2]
                     if dot > 0.0 and sq_p - dot * dot <= sq_limit:
                         met[order[i]] = True

@@ -17,7 +17,8 @@ from svc_ros.core import se3, sight_kernels
 from svc_ros.core.config import SightViewConfig
 from svc_ros.core.evidence import SightLines, SightViewEvidence
 from svc_ros.core.free_space import count_free_blocked
-from svc_ros.core.neighbours import direction_grid, radius_grid
+from svc_ros.core.neighbours import direction_grid, nearest_grid
+from svc_ros.core.parallel import on_all_processors
 from svc_ros.core.placement import Placement, place
 from svc_ros.core.prescore import thinned_scan
 from svc_ros.core.scan import Array, IndexArray, PreparedScan
@@ -49,8 +50,8 @@ def gather_evidence(
         shares = _glimpse(source, target, T_target_source, config)
         if allowance(shares[1] + _GLIMPSE_ERROR) < 0.0:
             return SightViewEvidence(_unseen(target), _unseen(source), *shares)
-    in_target = place(target, source, T_target_source, config)
-    in_source = place(source, target, se3.invert(T_target_source), config)
+    ways = ((target, source, T_target_source), (source, target, se3.invert(T_target_source)))
+    in_target, in_source = on_all_processors(lambda way: place(*way, config), ways)
     shares = np.minimum(in_target.shares(), in_source.shares()).tolist()
     allowed = allowance(shares[1])
     target_lines = find_blocked(target, in_target, config, allowed)
@@ -60,7 +61,7 @@ def gather_evidence(
 
 def index(scan: PreparedScan, config: SightViewConfig) -> None:
     """Build what looks at a scan need; they do so themselves, but several at once would each build their own."""
-    radius_grid(scan, config.tolerance_m)
+    nearest_grid(scan, config.tolerance_m)
     direction_grid(scan)
     _sectors(scan, config)
     thinned_scan(scan, _GLIMPSE_POINTS)
@@ -103,7 +104,7 @@ def find_blocked(
     num_blocked = 0
     if max_blocked >= 0:
         num_blocked = sight_kernels.find_blockers(
-            placement.points, placement.normals, placement.nearest, observer.sensor_origin, limits, max_blocked,
+            placement.alone, placement.alone_normals, observer.sensor_origin, limits, max_blocked,
             grid.lines, grid.order, grid.cell_starts, grid.rows, grid.columns, blocker, blocker_range, observed,
         )  # fmt: skip
     blocked = np.flatnonzero(blocker >= 0)
@@ -112,7 +113,8 @@ def find_blocked(
     num_free = len(observer.free_directions) if complete else 0
     free_blocked = count_free_blocked(observer, placement, config) if num_free else 0
     return SightLines(
-        num, int(observed.sum()), blocked, blocker[blocked], scattered, complete, num_free, free_blocked
+        num, int(observed.sum()), blocked, placement.alone_idx[blocker[blocked]], scattered, complete,
+        num_free, free_blocked,
     )  # fmt: skip
 
 

@@ -14,8 +14,7 @@ from typing import Any, TypeVar
 
 import svc_ros
 from svc_ros.core.errors import InputError, MissingDependencyError, SvcError
-from svc_ros.core.parallel import num_processors
-from svc_ros.evaluation.threads import use_threads
+from svc_ros.core.parallel import limit_threads, num_processors
 
 LOCAL = "local"
 
@@ -103,7 +102,7 @@ class _Run:
 
 def _work(function: Callable[[Item], Answer], item: Item) -> Answer:
     """On the worker: the machine's other processors belong to its other workers."""
-    use_threads(1)
+    limit_threads(1)
     return function(item)
 
 

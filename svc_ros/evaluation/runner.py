@@ -13,6 +13,7 @@ from typing import Any, Protocol, TypeVar, cast
 
 from svc_ros.core.config import Config, with_values
 from svc_ros.core.errors import InputError, SvcError
+from svc_ros.core.parallel import limit_threads, num_processors
 from svc_ros.evaluation.evaluator import (
     CANDIDATES,
     KINDS,
@@ -33,7 +34,6 @@ from svc_ros.evaluation.summary import (
     summarise_pairs,
     summarise_times,
 )
-from svc_ros.evaluation.threads import processors_for_each, use_threads
 from svc_ros.io.datasets import Dataset
 from svc_ros.io.suites import Suite, SuitePair
 
@@ -174,7 +174,7 @@ def _over_processes(
     # spawned, not forked: a fork would copy the locks of numba's and Open3D's threads in whatever state they are
     context = multiprocessing.get_context("spawn")
     others = multiprocessing.active_children()
-    pool = ProcessPoolExecutor(workers, context, _start_worker, (processors_for_each(workers),))
+    pool = ProcessPoolExecutor(workers, context, _start_worker, (max(1, num_processors() // workers),))
     answers = []
     try:
         for index, answer in enumerate(pool.map(function, items)):
@@ -195,4 +195,4 @@ def _over_processes(
 
 def _start_worker(num_threads: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer, once
-    use_threads(num_threads)
+    limit_threads(num_threads)
