@@ -13,7 +13,7 @@ from svc_ros.evaluation.replay_track import LoopTrack, PairTrack, StreamTrack, T
 from svc_ros.io.bags import Bag
 from svc_ros.io.transforms import TransformTree, normalise_frame
 from svc_ros.pipeline.loop_closure import LoopCloser
-from svc_ros.pipeline.replay import pair_steps
+from svc_ros.pipeline.replay import pair_steps, see_scans
 from svc_ros.pipeline.replay_ahead import ahead
 from svc_ros.pipeline.replay_clouds import BagPart, ReplayedPair, ReplayStep, read_clouds
 from svc_ros.pipeline.replay_known import KnownLoops
@@ -65,7 +65,7 @@ def steps_of(job: ReplayJob, replay: Replay, bag: Bag, known: Sequence[ReplayedP
     """
     clouds = ahead(read_clouds(bag, replay.part))
     if job.mode == "pair":
-        return pair_steps(clouds, job.config, job.stride, known)
+        return pair_steps(ahead(see_scans(clouds, job.config, len(known))), job.config, job.stride, known)
     if replay.closer is None or replay.odometry is None:
         return matching_steps(clouds, job.config)
     return loop_steps(ahead(track_clouds(clouds, replay.odometry)), replay.closer)

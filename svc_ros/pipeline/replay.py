@@ -20,14 +20,15 @@ from svc_ros.pipeline.replay_clouds import BagPart, RecordedCloud, ReplayedPair,
 from svc_ros.pipeline.replay_known import look_again
 
 
-class _SeenScan:
-    """One cloud of the bag; what is computed of it, or the error that this ended in, is found when first needed."""
+class SeenScan:
+    """One cloud of the bag; what is computed of it, or the error that this ended in, is found when first asked for."""
 
     def __init__(self, cloud: RecordedCloud, config: Config) -> None:
         self.cloud, self._config = cloud, config
         self.prepared: PreparedScan | None = None
         self.features: Features | None = None
         self.error = cloud.error
+        self.features_ms = 0.0
 
     def prepare(self) -> PreparedScan | None:
         """The scan as it is judged; None where `error` says why there is none."""
@@ -57,12 +58,22 @@ def replay_pairs(
     sensor_frame: see `read_clouds`. Raises InputError for a stride below 1 and a broken bag.
     """
     clouds = read_clouds(bag, BagPart(topic, sensor_frame=sensor_frame))
-    for step in pair_steps(clouds, config, stride):
+    for step in pair_steps(see_scans(clouds, config), config, stride):
         yield from step.decisions
 
 
+def see_scans(clouds: Iterable[RecordedCloud], config: Config, num_known: int = 0) -> Iterator[SeenScan]:
+    """Compute the features of every cloud that a pair beyond the first `num_known` ones may need."""
+    for cloud in clouds:
+        seen, watch = SeenScan(cloud, config), Stopwatch()
+        if cloud.index >= num_known:  # pair n has the clouds n and n + stride
+            seen.describe()
+            seen.features_ms = watch.ms()
+        yield seen
+
+
 def pair_steps(
-    clouds: Iterable[RecordedCloud], config: Config, stride: int = 1, known: Sequence[ReplayedPair] = ()
+    scans: Iterable[SeenScan], config: Config, stride: int = 1, known: Sequence[ReplayedPair] = ()
 ) -> Generator[ReplayStep]:
     """`replay_pairs` cloud by cloud. known: decisions on the first pairs from an earlier run, taken as they are.
 
@@ -70,29 +81,20 @@ def pair_steps(
     """
     if stride < 1:
         raise InputError(f"replay: expected a stride of at least 1, found {stride}")
-    recent: deque[_SeenScan] = deque(maxlen=stride)
-    for cloud in clouds:
-        seen, number = _SeenScan(cloud, config), cloud.index - stride
-        if number < 0:
-            yield ReplayStep(cloud)
-        elif number < len(known):
-            yield ReplayStep(cloud, [_seen_again(known[number], seen, recent[0], config)])
-        else:
-            yield _step(seen, recent[0], config)
+    recent: deque[SeenScan] = deque(maxlen=stride)
+    for seen in scans:
+        watch, number = Stopwatch(), seen.cloud.index - stride
+        decisions = []
+        if 0 <= number < len(known):
+            decisions = [_seen_again(known[number], seen, recent[0], config)]
+        elif number >= 0:
+            decisions = [_decide(seen, recent[0], config)]
+        times = {"read": seen.cloud.read_ms, "features": seen.features_ms, "decide": watch.ms()}
+        yield ReplayStep(seen.cloud, decisions, time_ms=times)
         recent.append(seen)
 
 
-def _step(source: _SeenScan, target: _SeenScan, config: Config) -> ReplayStep:
-    watch = Stopwatch()
-    target.describe()
-    source.describe()
-    features_ms = watch.ms()
-    decision = _decide(source, target, config)
-    times = {"read": source.cloud.read_ms, "features": features_ms, "decide": watch.ms() - features_ms}
-    return ReplayStep(source.cloud, [decision], time_ms=times)
-
-
-def _seen_again(known: ReplayedPair, source: _SeenScan, target: _SeenScan, config: Config) -> ReplayedPair:
+def _seen_again(known: ReplayedPair, source: SeenScan, target: SeenScan, config: Config) -> ReplayedPair:
     source_scan, target_scan = source.prepare(), target.prepare()
     if known.result.best_candidate is None or source_scan is None or target_scan is None:
         return known
@@ -100,7 +102,7 @@ def _seen_again(known: ReplayedPair, source: _SeenScan, target: _SeenScan, confi
     return replace(known, result=result, scans=(source_scan, target_scan))
 
 
-def _decide(source: _SeenScan, target: _SeenScan, config: Config) -> ReplayedPair:
+def _decide(source: SeenScan, target: SeenScan, config: Config) -> ReplayedPair:
     result, scans = _result(source, target, config), None
     if result.best_candidate is not None and source.features is not None and target.features is not None:
         scans = source.features.prepared, target.features.prepared
@@ -117,7 +119,7 @@ def _decide(source: _SeenScan, target: _SeenScan, config: Config) -> ReplayedPai
     )
 
 
-def _result(source: _SeenScan, target: _SeenScan, config: Config) -> RegistrationResult:
+def _result(source: SeenScan, target: SeenScan, config: Config) -> RegistrationResult:
     for role, seen in (("source", source), ("target", target)):
         if seen.error is not None:
             # the same class, so that it keeps its reason; the text says which of the two scans it was
