@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import sys
+import threading
 
 import pytest
 
@@ -257,3 +258,18 @@ def test_overrides_of_one_node_stay_with_that_node(host):
     (points,) = [s for s in second.subscriptions if s.topic_name == "/points"]
     assert (points.qos_profile.reliability, points.qos_profile.depth) == (before.reliability, before.depth)
     assert qos_profile_sensor_data == before
+
+
+def test_a_node_that_nobody_stopped_stops_when_it_is_destroyed(host, capfd):
+    node = host.start()
+    pairs = Pairs(host)
+    assert pairs.decide(1.0)["verdict"] == "accepted"
+    for stamp in range(2, 8):
+        pairs.publish(cloud(SCANS[1] + 0.001 * stamp, stamp), cloud(SCANS[0] + 0.001 * stamp, stamp))
+    host.nodes.remove(node)
+    host.executor.remove_node(node)
+    node.destroy_node()
+    names = {thread.name for thread in threading.enumerate()}
+    assert not names & {"registration", "decisions"}
+    assert pairs.collector.wait_for_decisions(6, 5.0)  # what it had got is answered
+    assert "Traceback" not in capfd.readouterr().err

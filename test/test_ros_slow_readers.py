@@ -18,7 +18,7 @@ pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import QoSProfile
-from ros_bench import Host, cloud
+from ros_bench import Host, StreamBench, cloud
 from sensor_msgs.msg import PointCloud2
 
 from svc_ros.ros.collector import DecisionCollector, spin_until
@@ -176,3 +176,20 @@ def test_a_reader_that_is_slow_gets_every_decision_of_a_burst(host, tmp_path):
         output = host.status()["output"]
         assert (output["unacknowledged"], output["waiting"], output["reader_stopped"]) == (0, 0, False)
         assert reader.stamps == stream.stamps == [f"{stamp}.000000000" for stamp in range(1, num_played + 1)]
+
+
+def test_ctrl_c_ends_the_node_in_time_though_decisions_wait_for_a_stopped_reader(monkeypatch, tmp_path):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    parameters = {"mode": "scan_matching", "preset": "lidar_indoor"}
+    domain_id = own_domain_id(81)
+    with StreamBench(tmp_path, domain_id, parameters) as bench, Reader(tmp_path / "stamps", domain_id) as reader:
+        bench.play([cloud(np.ones((1, 3)), 1.0)], 10.0)
+        assert spin_until(bench.executor, lambda: reader.stamps, 10.0)
+        reader.stop()
+        bench.play([cloud(np.ones((1, 3)), 2.0 + k) for k in range(60)], 100.0)
+        assert bench.status()["output"]["waiting"] > 0
+        start = time.monotonic()
+        bench.process.interrupt()
+        assert bench.process.wait(10.0) == 0, bench.process.output()
+        assert time.monotonic() - start < 2.0
+        assert "Traceback" not in bench.process.output()

@@ -11,7 +11,7 @@ from svc_ros.ros.parameters import NodeParameters
 from svc_ros.ros.session import Session
 
 NODE_NAME = "svc_registration"
-_CLEANUP_S = 60.0  # longer than any one job takes
+_CLEANUP_S, _FORGOTTEN_S = 60.0, 5.0  # longer than any one job takes, and than most
 
 _SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
@@ -21,7 +21,7 @@ class RegistrationNode(LifecycleNode):
 
     Options are those of rclpy's Node. With `autostart` (the default) it is active when the constructor returns, and
     what prevents that is raised: ConfigError for refused parameters, MissingDependencyError where a parameter needs a
-    package that is not there. Call `stop` before the node is destroyed.
+    package that is not there. Call `stop` before the node is destroyed, to say how long a job may still take.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -37,6 +37,11 @@ class RegistrationNode(LifecycleNode):
     def stop(self, timeout_s: float) -> bool:
         """End the worker after its current job; False if it was still computing when the time was over."""
         return self._session is None or self._session.stop(timeout_s)
+
+    def destroy_node(self) -> None:
+        """Stop, if nobody did, and give everything back."""
+        self.stop(_FORGOTTEN_S)
+        super().destroy_node()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Create everything and warm up; what goes wrong is said in the log, and the node stays unconfigured."""
