@@ -1,0 +1,81 @@
+"""What a person looks at is made only while somebody looks, and is capped."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
+
+import numpy as np
+from mini_data import POSES, pose_between, scan_room
+
+from svc_ros.core.config import preset
+from svc_ros.core.registration import prepare, verify
+from svc_ros.core.scan import Scan
+from svc_ros.ros import looks
+from svc_ros.ros.decision import Decision, Look
+from svc_ros.ros.looks import LookOutputs
+from svc_ros.ros.worker import CloudLabel
+
+TOPICS = ("~/aligned", "~/blocked_points", "~/sight_lines")
+MADE_BY = {"~/aligned": "cloud_message", "~/blocked_points": "blocked_points", "~/sight_lines": "sight_line_markers"}
+
+
+class StandIn:
+    """A node whose publishers have readers where that is said, and write down what is sent."""
+
+    def __init__(self, read: tuple[str, ...]) -> None:
+        self._read, self.sent = read, []
+
+    def create_publisher(self, _kind, topic, _qos):
+        node = self
+
+        class Publisher:
+            def get_subscription_count(self):
+                return int(topic in node._read)
+
+            def publish(self, message):
+                node.sent.append((topic, message))
+
+        return Publisher()
+
+
+@pytest.fixture(scope="module")
+def decision():
+    config = preset("lidar_indoor")
+    source, target = (prepare(Scan(scan_room(POSES[k], seed=k)), config) for k in (1, 0))
+    T = pose_between(1, 0)
+    result = verify(source, target, T, config)
+    assert result.accepted
+    look = Look(source.points, source, target, T, np.eye(4), "lidar")
+    return Decision(result, CloudLabel(1, "lidar"), CloudLabel(0, "lidar"), look=look)
+
+
+@pytest.mark.parametrize("read", [(), *((topic,) for topic in TOPICS), TOPICS])
+def test_nothing_is_made_that_nobody_looks_at(decision, monkeypatch, read):
+    def never(*_args):
+        raise AssertionError("made for nobody")
+
+    for topic, maker in MADE_BY.items():
+        if topic not in read and not (maker == "cloud_message" and "~/blocked_points" in read):
+            monkeypatch.setattr(looks, maker, never)
+    node = StandIn(read)
+    LookOutputs(node).publish(decision)
+    assert [topic for topic, _ in node.sent] == list(read)
+
+
+def test_sight_lines_are_capped_and_begin_by_deleting_the_last(decision, monkeypatch):
+    monkeypatch.setattr(looks, "MAX_LINES", 7)
+    node = StandIn(("~/sight_lines",))
+    LookOutputs(node).publish(decision)
+    ((_, array),) = node.sent
+    assert array.markers[0].action == looks.Marker.DELETEALL
+    lines = [marker for marker in array.markers if marker.type == looks.Marker.LINE_LIST]
+    assert lines
+    assert all(0 < len(marker.points) <= 14 for marker in lines)
+
+
+def test_a_decision_without_a_judged_pose_draws_nothing(decision):
+    node = StandIn(TOPICS)
+    LookOutputs(node).publish(Decision(decision.result, decision.source, decision.target))
+    assert node.sent == []
