@@ -35,6 +35,12 @@ def test_the_last_line_sums_up(capsys: pytest.CaptureFixture[str]) -> None:
     assert printed(capsys, {**SUMMARY, **nothing})[-1] == "0 decisions on 9 scans; see out/x"
 
 
+def test_a_report_is_what_to_see(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "report.html").write_text("")
+    print_summary("bag", SUMMARY, tmp_path)
+    assert capsys.readouterr().out.splitlines()[-1].endswith(f"see {tmp_path}/report.html")
+
+
 def test_errors_against_the_reference_are_rows(capsys: pytest.CaptureFixture[str]) -> None:
     errors = {"median": 0.1, "p95": 0.2, "max": 0.3}
     reference = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib.util
 import itertools
 import json
 import re
@@ -32,7 +33,7 @@ from replay_cases import (
 
 from svc_ros.core import se3
 from svc_ros.core.config import preset
-from svc_ros.core.errors import InputError
+from svc_ros.core.errors import InputError, MissingDependencyError
 from svc_ros.evaluation import replay_run
 from svc_ros.evaluation.replay_job import MODES, ReplayJob
 from svc_ros.evaluation.replay_reference import MAX_ROTATION_DEG, MAX_TRANSLATION_M
@@ -320,6 +321,26 @@ def test_the_page_names_what_there_is(runs: dict[str, Path]) -> None:
     assert all(f"`{topic}`" in page for topic in topics)
     assert "more than 5 deg or 0.6 m" in page
     assert (MAX_ROTATION_DEG, MAX_TRANSLATION_M) == (5.0, 0.6)
+
+
+@pytest.mark.parametrize(
+    ("missing", "values", "message"),
+    [
+        ("plotly", {"report": True}, "pip install plotly, or replay with --no-report"),
+        ("evo", {"reference": Path("reference.txt")}, "pip install 'evo"),
+    ],
+)
+def test_what_is_not_installed_is_said_before_the_work(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, missing: str, values: dict[str, Any], message: str
+) -> None:
+    found = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == missing else found(name))
+    if missing == "evo":
+        monkeypatch.setitem(sys.modules, "evo.core.metrics", None)
+        monkeypatch.chdir(write_reference(tmp_path / "reference.txt").parent)
+    with pytest.raises(MissingDependencyError, match=message):
+        replay_bag(job(bag, tmp_path / "out", **values))
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_report_is_beside_the_rest(bag: Path, tmp_path: Path) -> None:

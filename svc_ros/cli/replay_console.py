@@ -99,4 +99,5 @@ def _line(summary: Mapping[str, Any], out: Path) -> str:
         parts.append(f"false accepts: {false}")
     if summary["real_time_factor"] is not None:
         parts.append(f"{summary['real_time_factor']:.2f} times real time")
-    return f"{', '.join(parts)}; see {out}"
+    report = out / "report.html"
+    return f"{', '.join(parts)}; see {report if report.is_file() else out}"
