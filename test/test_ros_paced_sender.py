@@ -11,6 +11,11 @@ from svc_ros.ros import paced_sender
 from svc_ros.ros.paced_sender import PacedSender
 
 
+@pytest.fixture(autouse=True)
+def _not_so_patient(monkeypatch):
+    monkeypatch.setattr(paced_sender, "PATIENCE_S", 1.0)
+
+
 class Reader:
     """Takes messages; each has arrived `delay_s` after it was sent, and none while it is stopped."""
 

@@ -17,7 +17,7 @@ from typing import Generic, TypeVar
 _log = logging.getLogger(__name__)
 Message = TypeVar("Message")
 
-PATIENCE_S = 1.0  # a reader that has not acknowledged a message after so long is taken for stopped
+PATIENCE_S = 2.0  # a reader that has not acknowledged a message after so long is taken for stopped
 PACE_S = 0.02  # between messages while a reader is stopped: the others get each of them in that time
 MANY = 1000  # so many may wait for slow readers; more are sent at the pace, too
 _OUT_IN_S = 2.0  # at the pace, everything that waits is sent in that time; it is quicker then
