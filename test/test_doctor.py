@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 from bag_recorder import CLOUD, START, Recorder, S, record
-from cloud_messages import Cloud, xyz_cloud
+from cloud_messages import Cloud, Column, Layout, pack, xyz_cloud, xyz_columns
 
 from svc_ros.cli import doctor
 from svc_ros.cli.doctor import Finding, check_bag, check_installation
 from svc_ros.core.errors import InputError
 from svc_ros.io.config_yaml import write_preset_files
+from svc_ros.simulation import DriveConfig, simulate_drive
 
 PROJECT_ROOT = Path(__file__).resolve().parent.parent
 BALL = np.random.default_rng(1).normal(size=(300, 3)) * 8.0
@@ -48,7 +49,7 @@ def cloud_at(seconds: float, points: Any = BALL, frame: str = "lidar") -> Cloud:
 
 
 def three_good(path: Path, frames: tuple[tuple[str, str], ...] = ()) -> Path:
-    return bag_of(path, *((k, cloud_at(k)) for k in range(3)), frames=frames)
+    return bag_of(path, *((k, cloud_at(k, BALL + 0.01 * k)) for k in range(3)), frames=frames)
 
 
 class TestInstallation:
@@ -264,6 +265,186 @@ class TestBag:
         findings = check_bag(shared_data / "bags" / bag)
         assert {f.level for f in findings} == {"ok"}
         assert named(findings, f"{topic} preset").found.startswith(wanted)
+
+
+def sphere(num: int, radius_m: float, seed: int = 3) -> np.ndarray:
+    """Points (num, 3) all around, one range in every direction."""
+    directions = np.random.default_rng(seed).normal(size=(num, 3))
+    return radius_m * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def two_walls(sensor: tuple[float, float, float]) -> np.ndarray:
+    """What a sensor sees of two rows of pillars, in the frame of the world (N, 3)."""
+    angles = np.radians(np.arange(-60.0, 60.0, 0.1) + 0.03)
+    pillars = np.where(np.arange(len(angles)) // 100 % 2 == 0, 6.0, 12.0)
+    x, y = pillars * np.array([np.cos(angles), np.sin(angles)])
+    rows = [np.array([x, y, pillars * np.tan(h)]).T for h in np.radians(np.arange(-9.9, 10.0, 0.4))]
+    return np.vstack(rows) + sensor
+
+
+def timed_cloud(seconds: float, times: np.ndarray) -> Cloud:
+    points = sphere(len(times), 20.0)
+    cloud = pack([*xyz_columns(points), Column("time", times.tolist())])
+    return replace(cloud, stamp_ns=START + round(seconds * S))
+
+
+class TestFaults:
+    """One fault a bag, and the line that names it."""
+
+    def finding(self, path: Path, name: str, *clouds: tuple[int, Cloud]) -> Finding:
+        return named(check_bag(bag_of(path, *clouds)), f"/points {name}")
+
+    @pytest.mark.parametrize(
+        ("type_name", "advice"), [("sensor_msgs/msg/LaserScan", "a plane of points"), ("std_msgs/msg/String", "record")]
+    )
+    def test_scans_that_are_no_clouds(self, tmp_path: Path, type_name: str, advice: str) -> None:
+        def fill(recorder: Recorder) -> None:
+            if type_name.endswith("String"):
+                recorder.write("/scan", type_name, START, recorder.make(type_name, data="no scan"))
+                return
+            numbers = dict.fromkeys(
+                ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_min", "range_max"),
+                1.0,
+            )
+            empty = np.zeros(0, np.float32)
+            header = recorder.header(START, "laser")
+            message = recorder.make(type_name, header=header, **numbers, ranges=empty, intensities=empty)
+            recorder.write("/scan", type_name, START, message)
+
+        finding = named(check_bag(record(tmp_path / "bag", "mcap", fill)), "clouds")
+        assert finding.level == "error"
+        assert finding.advice.startswith(advice)
+        assert ("/scan" in finding.found) == type_name.endswith("LaserScan")
+
+    def test_a_field_is_missing(self, tmp_path: Path) -> None:
+        cloud = pack([Column(name, [1.0, 2.0]) for name in ("x", "y", "range")])
+        finding = self.finding(tmp_path, "fields", (0, replace(cloud, stamp_ns=START)))
+        assert finding.level == "error"
+        assert "expected one field 'z', found 0 in: x, y, range" in finding.found
+
+    def test_times_are_told_or_missed(self, tmp_path: Path) -> None:
+        with_times = timed_cloud(0, np.linspace(0.0, 0.1, 300))
+        good = self.finding(tmp_path / "good", "point times", (0, with_times))
+        assert (good.level, good.found) == ("ok", "field time, a sweep lasts 0.100 s")
+        none = self.finding(tmp_path / "none", "point times", (0, cloud_at(0)))
+        assert (none.found, "scan_matching" in none.advice) == ("none", True)
+        same = self.finding(tmp_path / "same", "point times", (0, timed_cloud(0, np.zeros(300))))
+        assert (same.level, same.found) == ("warn", "field time, the same for all points")
+        other = self.finding(tmp_path / "other", "point times", (0, with_times), (1, timed_cloud(1, np.full(300, 9e5))))
+        assert (other.level, other.found) == ("warn", "field time, unusable in 1 of 2 clouds")
+
+    def test_directions_without_return_are_counted(self, tmp_path: Path) -> None:
+        angles = np.radians(np.arange(0.0, 360.0, 1.0))
+        rings = [20.0 * np.array([np.cos(angles) * np.cos(e), np.sin(angles) * np.cos(e), np.full(360, np.sin(e))]).T
+                 for e in np.radians(np.arange(-8.0, 8.0, 2.0))]  # fmt: skip
+        points = np.vstack(rings)
+        points[700:720] = np.inf
+        cloud = pack(xyz_columns(points), Layout(height=8))
+        finding = self.finding(tmp_path, "free directions", (0, replace(cloud, stamp_ns=START)))
+        assert (finding.level, finding.found.endswith("from points at +inf")) == ("ok", True)
+
+    def test_clouds_away_from_their_sensor(self, tmp_path: Path) -> None:
+        here = self.finding(tmp_path / "here", "sensor at the origin", (0, cloud_at(0, two_walls((0, 0, 0)))))
+        there = self.finding(tmp_path / "there", "sensor at the origin", (0, cloud_at(0, two_walls((-4.0, 15.0, 0)))))
+        assert here.level == "ok"
+        assert there.level == "warn"
+        assert "--sensor-frame" in there.advice
+
+    def test_several_sensors_in_one_cloud(self, tmp_path: Path) -> None:
+        both = np.vstack([sphere(20_000, 20.0), sphere(20_000, 5.0, seed=4) + np.array([4.0, 0.0, 0.0])])
+        assert self.finding(tmp_path, "sensor at the origin", (0, cloud_at(0, both))).level == "warn"
+
+    def test_a_frame_of_the_world(self, tmp_path: Path) -> None:
+        finding = self.finding(tmp_path, "frame", (0, cloud_at(0, frame="robot/map")))
+        assert (finding.level, "sensor_frame" in finding.advice) == ("warn", True)
+
+    def test_some_stamps_of_zero_do_not_spoil_the_others(self, tmp_path: Path) -> None:
+        clouds = [(k, cloud_at(k, BALL + k)) for k in range(4)]
+        bag = bag_of(tmp_path, *clouds, (4, replace(NAN_FREE, stamp_ns=0)))
+        findings = check_bag(bag)
+        assert named(findings, "/points stamps of zero").found == "1 of 5 clouds"
+        assert named(findings, "/points stamps").found.endswith("1.0 Hz")
+        assert not [f for f in findings if f.name in ("/points stamp order", "/points stamp gaps")]
+
+    def test_the_same_points_again(self, tmp_path: Path) -> None:
+        finding = self.finding(tmp_path, "repeated clouds", *((k, cloud_at(k)) for k in range(3)))
+        assert (finding.level, finding.found) == ("warn", "2 hold the points of the one before")
+
+    @pytest.mark.parametrize(("factor", "level"), [(1.0, "ok"), (1000.0, "error"), (1e-3, "error")])
+    def test_another_unit(self, tmp_path: Path, factor: float, level: str) -> None:
+        findings = check_bag(bag_of(tmp_path, (0, cloud_at(0, factor * sphere(500, 20.0)))))
+        wrong = [f for f in findings if f.name == "/points scale"]
+        assert ([f.level for f in wrong] or ["ok"]) == [level]
+        assert not wrong or not [f for f in findings if f.name == "/points preset"]
+
+    def test_ranges_that_the_preset_cuts(self, tmp_path: Path) -> None:
+        near = np.vstack([sphere(300, 0.4), sphere(700, 15.0)])
+        finding = self.finding(tmp_path / "near", "ranges", (0, cloud_at(0, near)))
+        assert (finding.level, finding.found) == ("warn", "30% of the points nearer than 0.5 m, 0% beyond 60 m")
+        far = self.finding(tmp_path / "far", "ranges", (0, cloud_at(0, sphere(700, 150.0))))
+        assert (far.level, "100% beyond 80 m" in far.found) == ("warn", True)
+
+    def test_too_few_points(self, tmp_path: Path) -> None:
+        few = self.finding(tmp_path / "all", "points left", (0, cloud_at(0, sphere(60, 20.0))))
+        assert (few.level, few.found.startswith("60 left")) == ("error", True)
+        clouds = ((0, cloud_at(0, sphere(60, 20.0))), (1, cloud_at(1, sphere(500, 20.0))))
+        assert self.finding(tmp_path / "some", "points left", *clouds).level == "warn"
+
+    @pytest.mark.parametrize(("reach_m", "other"), [(25.0, "lidar_outdoor"), (45.0, "lidar_indoor"), (70.0, "")])
+    def test_the_choice_is_open_near_the_border(self, tmp_path: Path, reach_m: float, other: str) -> None:
+        finding = self.finding(tmp_path, "preset", (0, cloud_at(0, sphere(2000, reach_m))))
+        assert finding.advice.partition("; ")[2] == (f"{other} may fit as well" if other else "")
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    config = DriveConfig("street", "OS1-64", num_scans=3, spacing_m=2.0, rate_hz=10.0)
+    return simulate_drive(tmp_path_factory.mktemp("trial"), config).bag
+
+
+class TestTrial:
+    def test_neighbours_are_registered_and_fast_motion_is_named(self, street: Path) -> None:
+        findings = check_bag(street, trial=True)
+        tried = [f for f in findings if " registration, " in f.name]
+        assert tried
+        assert tried[-1].found.startswith("2 of 2 neighbouring pairs accepted")
+        motion = named(findings, "/points motion")
+        assert motion.level == "warn"
+        assert motion.found.startswith("up to 20.")
+        assert "in a sweep of 0.10 s" in motion.found
+
+    def test_without_a_trial_nothing_is_registered(self, street: Path) -> None:
+        assert not [f for f in check_bag(street) if "registration" in f.name or "motion" in f.name]
+
+    def test_scans_that_have_nothing_in_common(self, tmp_path: Path) -> None:
+        clouds = [(k, cloud_at(k, np.random.default_rng(k).normal(size=(2000, 3)) * 10.0)) for k in range(2)]
+        findings = check_bag(bag_of(tmp_path, *clouds), trial=True)
+        tried = [f for f in findings if " registration, " in f.name]
+        assert [f.level for f in tried] == ["warn", "warn"]  # each LiDAR preset
+        assert tried[0].found.startswith("0 of 1")
+        assert not [f for f in findings if f.name == "/points motion"]
+
+    def test_what_cannot_be_used_is_not_tried(self, tmp_path: Path) -> None:
+        bag = bag_of(tmp_path, *((k, replace(NAN_FREE, stamp_ns=0)) for k in range(2)))
+        assert not [f for f in check_bag(bag, trial=True) if "registration" in f.name]
+
+
+@pytest.mark.parametrize(
+    ("bag", "wanted"),
+    [
+        ("depth_ros1_padded_nan/perception_tutorial.bag", "rgbd_indoor"),
+        ("os0_8_10scans_pointcloud2", "lidar_outdoor"),
+        ("os1_128_pointcloud2_mcap", "lidar_outdoor"),
+        ("vlp16_pointcloud2", "lidar_indoor"),
+        ("vlp32_pointcloud2", "lidar_indoor"),
+    ],
+)
+def test_bags_of_other_sensors(shared_data: Path, bag: str, wanted: str) -> None:
+    findings = check_bag(shared_data / "bags" / "readers" / bag)
+    assert next(f for f in findings if f.name.endswith(" preset")).found.startswith(wanted)
+    odd = [f.name for f in findings if f.level != "ok"]
+    clock = ["/camera/depth_registered/points header and bag time"]
+    assert odd == (clock if bag.startswith("depth") else [])
 
 
 def test_the_checks_print_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

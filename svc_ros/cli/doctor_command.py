@@ -20,17 +20,25 @@ _STYLES = {"ok": "green", "warn": "yellow", "error": "bold red"}
 
 BagArgument = Annotated[Path | None, typer.Argument(metavar="[BAG]", help="Check this bag; without it, the machine.")]
 TopicOption = Annotated[str | None, typer.Option("--topic", metavar="TOPIC", help="Clouds of this topic only.")]
+TrialOption = Annotated[
+    bool, typer.Option("--trial/--no-trial", help="Register up to three pairs of neighbouring scans of the bag.")
+]
 
 
-def doctor(bag: BagArgument = None, topic: TopicOption = None, json_target: JsonOption = None) -> None:
-    """Say what is installed and missing, or what is odd about a bag, and what to do. Exits with 2 on errors."""
+def doctor(
+    bag: BagArgument = None, topic: TopicOption = None, trial: TrialOption = True, json_target: JsonOption = None
+) -> None:
+    """Say what is installed and missing, or what is odd about a bag, which preset fits, and what to do.
+
+    Exits with 2 on errors: what keeps every cloud from being used. Warnings leave the exit code at 0.
+    """
     if topic is not None and bag is None:
         raise typer.BadParameter("--topic belongs to a BAG")
     check_json_target(json_target)
     with working("looking"):
         from svc_ros.cli.doctor import check_bag, check_installation
 
-        findings = check_installation() if bag is None else check_bag(bag, topic)
+        findings = check_installation() if bag is None else check_bag(bag, topic, trial)
     num_errors = sum(finding.level == "error" for finding in findings)
     write_json({"num_errors": num_errors, "findings": [dataclasses.asdict(f) for f in findings]}, json_target)
     summary_console(json_target).print(_findings_table(str(bag or "this machine"), findings))
