@@ -114,7 +114,8 @@ class NodeUnderLoad:
             self._spin(lambda: False, 0.5)
             future = self._ask()
             if self._spin(future.done, _ANSWER_S):
-                pending = self.record.snapshots[-1].status["jobs"]["pending"]
+                status = self.record.snapshots[-1].status
+                pending = status["jobs"]["pending"] + status["output"]["waiting"]
         self._spin(lambda: False, 1.0)  # whatever comes now is one answer too many
         self.record.decided = self._decided()
         self.record.is_alive = self.process.exit_code is None and "Traceback" not in self.process.output()

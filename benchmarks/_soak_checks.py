@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+SUMMED = ("received", "lost", "jobs", "decisions", "reasons", "latency_ms", "output")
 MAX_LATE_MS = 25.0  # 99th percentile of a 100 Hz timer in the node's process
 MAX_KEYFRAMES = 4  # that the node may keep
 MAX_GROWTH_MB = 60.0  # of the resident set, from the middle third of the load to its last
@@ -75,7 +76,7 @@ def checks(record: Record) -> dict[str, bool]:
     return {
         "counts_right_at_every_moment": not any(wrong_counts(s, record.queue_size) for s in record.snapshots),
         "every_decision_came_out": dict(record.decided) == {k: n for k, n in last["decisions"].items() if n},
-        "nothing_left_undone": last["jobs"]["pending"] == 0,
+        "nothing_left_undone": last["jobs"]["pending"] == 0 and last["output"]["waiting"] == 0,
         "more_was_played_than_served": last["reasons"].get("superseded", 0) > 0,
         "memory_bounded": not growth_mb(record.resident_mb) > MAX_GROWTH_MB,
         "timer_in_time": bool(record.late_ms) and float(np.percentile(record.late_ms, 99)) < MAX_LATE_MS,
@@ -90,9 +91,10 @@ def summary(record: Record) -> dict[str, Any]:
     wrong = [line for s in record.snapshots for line in wrong_counts(s, record.queue_size)]
     return {
         "served_per_s": record.served_per_s, "played_per_s": record.played_per_s, "published": last.published,
-        **{name: last.status[name] for name in ("received", "lost", "jobs", "decisions", "reasons", "latency_ms")},
+        **{name: last.status[name] for name in SUMMED},
         "snapshots": len(record.snapshots), "wrong_counts": wrong[:10],
         "queue_max": max(s.status["worker"]["queue"] for s in record.snapshots),
+        "output_waiting_max": max(s.status["output"]["waiting"] for s in record.snapshots),
         "pending_max": max(s.status["jobs"]["pending"] for s in record.snapshots),
         "resident_mb": record.resident_mb, "growth_mb": growth_mb(record.resident_mb),
         "late_ms_p50": float(np.percentile(late, 50)), "late_ms_p99": float(np.percentile(late, 99)),

@@ -31,6 +31,7 @@ PAIR = {
     "decisions": {"accepted": 2, "rejected": 1, "undecided": 0, "dropped": 2},
     "reasons": {"ok": 2, "superseded": 2, "low_overlap": 1},
     "pairing": {"matched": 6, "unmatched": 0, "waiting": 1}, "worker": {"queue": 1},
+    "output": {"waiting": 0, "unacknowledged": 0, "reader_stopped": False},
 }  # fmt: skip
 SCANS = PAIR | {"received": {"points": 6}, "pairing": {"matched": 0, "unmatched": 0, "waiting": 0}}
 DECIDED = {"accepted": 2, "rejected": 1, "dropped": 2}
@@ -113,6 +114,14 @@ def test_each_check_can_fail(name, value, failed):
     record = good_record()
     setattr(record, name, record.snapshots[:1] if name == "snapshots" else value)
     assert not checks(record)[failed]
+
+
+def test_decisions_that_are_not_sent_are_work_left_undone():
+    from _soak_checks import checks
+
+    record = good_record()
+    record.snapshots.append(snapshot(changed(record.snapshots[-1].status, "output", "waiting", 1)))
+    assert not checks(record)["nothing_left_undone"]
 
 
 def test_growth_is_from_the_middle_third_to_the_last():
