@@ -17,7 +17,7 @@ from svc_ros.evaluation.metrics import roc_auc
 OFFSET = "free_offset"
 WEIGHTS = ("blocked_weight", "scattered_weight", "contradicted_weight", "tight_weight")
 FIELDS = (OFFSET, *WEIGHTS)
-CAUTION = 0.6  # less log odds than fitted: to be accepted a pose has to be 1.8 times likelier right than wrong
+CAUTION = 0.0  # less log odds than fitted
 _SIGNS = np.array([-1.0, -1.0, -1.0, 1.0])  # what is blocked speaks against a pose, tight contact for it
 Weights = dict[str, float]
 

@@ -12,17 +12,16 @@ class DecisionConfig(Group):
     """When a refined pose is accepted, rejected or left undecided; one set of borders for all sensors.
 
     benchmarks/decision.py fits the weights by logistic regression to right and wrong labelled poses of every real set
-    and of simulated traffic and look-alike rooms, all weighing the same, and tests them on sets left out. The offset
-    is lowered by 0.6, so that an acceptance has to be 1.8 times likelier. The borders were chosen on the same poses and
-    on simulated corridors; limits in benchmarks/README.md.
+    and of simulated traffic and look-alike rooms, all weighing the same, and tests them on sets left out. The borders
+    were chosen on the same poses and on simulated corridors; limits in benchmarks/README.md.
     """
 
     min_oriented_overlap: float = value(0.10, "less oriented overlap is too little to accept", "", 1e-3, 1.0)
-    free_offset: float = value(-13.1, "log odds of a right pose: offset", "", -100.0, 100.0)
-    blocked_weight: float = value(0.72, "and less this times the log of blocked share over overlap", "", 0.0, 100.0)
-    scattered_weight: float = value(1.10, "the same outside the most blocked sectors", "", 0.0, 100.0)
-    contradicted_weight: float = value(2.69, "the log of the blocked share of unmatched surface", "", 0.0, 100.0)
-    tight_weight: float = value(2.45, "plus this times the log odds of agreement within tau / 4", "", 0.0, 100.0)
+    free_offset: float = value(-13.4, "log odds of a right pose: offset", "", -100.0, 100.0)
+    blocked_weight: float = value(0.90, "and less this times the log of blocked share over overlap", "", 0.0, 100.0)
+    scattered_weight: float = value(1.27, "the same outside the most blocked sectors", "", 0.0, 100.0)
+    contradicted_weight: float = value(2.04, "the log of the blocked share of unmatched surface", "", 0.0, 100.0)
+    tight_weight: float = value(2.15, "plus this times the log odds of agreement within tau / 4", "", 0.0, 100.0)
     max_blocked_per_overlap: float = value(0.09, "blocked share over overlap: beyond, rejected", "", 1e-3, 10.0)
     max_scattered_per_overlap: float = value(0.045, "the same outside the most blocked sectors", "", 1e-3, 10.0)
     max_opposed_per_overlap: float = value(0.60, "opposed share over oriented overlap", "", 1e-3, 10.0)

@@ -7,6 +7,7 @@ from numba import njit
 
 _jit = njit(nogil=True, cache=True, error_model="numpy")
 
+_AT_ONCE = 256
 _ROUNDING = 1e-6  # of a cell: so near to its border a direction is looked for on both sides
 
 
@@ -15,9 +16,8 @@ def quarter_turns(x, y):  # type: ignore[no-untyped-def]
     """Grows with the azimuth of (x, y), one in each quarter from 0 to 4; no angle is computed."""
     size = abs(x) + abs(y)
     along = y / size if size > 0.0 else 0.0
-    if x < 0.0:
-        return 2.0 - along
-    return along if along >= 0.0 else 4.0 + along
+    ahead = along if along >= 0.0 else 4.0 + along
+    return 2.0 - along if x < 0.0 else ahead
 
 
 @_jit
@@ -44,33 +44,53 @@ def fill_lines(points, normals, order, lines):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def cells_around(x, y, z, sine, rows, columns):  # type: ignore[no-untyped-def]
-    """First and last row, first and last column of the cells that hold all directions within an angle of (x, y, z).
+def fill_relative(points, origin, begin, x, y, z):  # type: ignore[no-untyped-def]
+    """x, y, z (K,): points begin.. of (M, 3), seen from the origin; returns how many."""
+    num = min(x.shape[0], points.shape[0] - begin)
+    for k in range(num):
+        x[k], y[k] = points[begin + k, 0] - origin[0], points[begin + k, 1] - origin[1]
+        z[k] = points[begin + k, 2] - origin[2]
+    return num
 
-    sine: of that angle, less than a right one. Columns go round: the last one may be beyond the number of columns.
+
+@_jit
+def fill_bounds(x, y, z, radius, max_sine, rows, columns, bounds):  # type: ignore[no-untyped-def]
+    """bounds (4, K): first and last row, first and last column of the cells with all directions around (x, y, z) (K,).
+
+    That is around by the angle whose sine is the smaller one of max_sine and radius over distance; none for points
+    within the radius. Columns go round: the first may be below zero, the last beyond their number. rows, columns:
+    float64. No branches, no angles: the compiler takes several points at once.
     """
-    flat = np.sqrt(x * x + y * y)
-    length = np.sqrt(flat * flat + z * z)
-    up, level, cosine = z / length, flat / length, np.sqrt(1.0 - sine * sine)
-    low, high = up * cosine - level * sine, up * cosine + level * sine  # sines of the lowest and highest elevation
-    column_from, column_to = 0, columns - 1
-    if level > sine:
-        aside = sine / level  # sine of the azimuth between the direction and the farthest ones around it
+    for k in range(x.shape[0]):
+        sq_flat = x[k] * x[k] + y[k] * y[k]
+        flat, length = np.sqrt(sq_flat), np.sqrt(sq_flat + z[k] * z[k])
+        sine = min(min(radius, length * max_sine) / length, 1.0)
+        up, level, cosine = z[k] / length, flat / length, np.sqrt(1.0 - sine * sine)
+        low, high = up * cosine - level * sine, up * cosine + level * sine  # sines of the lowest and highest elevation
+        pole = level <= sine  # one of them, and so all azimuths, are among the directions
+        aside = min(sine / level, 1.0)  # sine of the largest difference of azimuth
         ahead = np.sqrt(1.0 - aside * aside)
-        first = quarter_turns(x * ahead + y * aside, y * ahead - x * aside)
-        last = quarter_turns(x * ahead - y * aside, y * ahead + x * aside)
-        column_from = int(np.floor(0.25 * first * columns - _ROUNDING))
-        column_to = int(np.floor(0.25 * last * columns + _ROUNDING))
-        if column_from < 0:
-            column_from, column_to = column_from + columns, column_to + columns
-        column_to += columns if column_to < column_from else 0
-    elif z > 0.0:  # a pole, and so all azimuths, are among them
-        high = 1.0
-    else:
-        low = -1.0
-    row_from = max(int((0.5 * low + 0.5) * rows - _ROUNDING), 0)
-    row_to = min(int((0.5 * high + 0.5) * rows + _ROUNDING), rows - 1)
-    return row_from, row_to, column_from, min(column_to, column_from + columns - 1)
+        first = quarter_turns(x[k] * ahead + y[k] * aside, y[k] * ahead - x[k] * aside)
+        last = quarter_turns(x[k] * ahead - y[k] * aside, y[k] * ahead + x[k] * aside)
+        first, last = np.floor(0.25 * first * columns - _ROUNDING), np.floor(0.25 * last * columns + _ROUNDING)
+        last = last + columns if last < first else last
+        low = -1.0 if (pole and z[k] <= 0.0) else low
+        high = 1.0 if (pole and z[k] > 0.0) else high
+        bounds[0, k] = max(np.floor((0.5 * low + 0.5) * rows - _ROUNDING), 0.0)
+        bounds[1, k] = min(np.floor((0.5 * high + 0.5) * rows + _ROUNDING), rows - 1.0)
+        bounds[2, k] = 0.0 if pole else first
+        bounds[3, k] = columns - 1.0 if pole else min(last, first + columns - 1.0)
+
+
+@_jit
+def cell_range(row, bounds, k, columns, cell_starts, part):  # type: ignore[no-untyped-def]
+    """First entry, and the one after the last, of point k's cells in a row: part 0 up to the seam, part 1 beyond it."""
+    first, last = int(bounds[2, k]), int(bounds[3, k])
+    if first < 0:
+        first, last = first + columns, last + columns
+    if part == 1:
+        first, last = 0, last - columns  # none where the last is not beyond the seam
+    return cell_starts[row * columns + first], cell_starts[row * columns + min(last, columns - 1) + 1]
 
 
 @_jit
@@ -89,20 +109,22 @@ def find_blockers(placed, turned, origin, limits, max_blocked, lines, order, cel
     plane contains the other point within the tolerance.
     """
     tolerance, radius, max_sine, max_tangent = limits[0], limits[1], limits[2], limits[3]
+    x, y, z, bounds = np.empty(_AT_ONCE), np.empty(_AT_ONCE), np.empty(_AT_ONCE), np.empty((4, _AT_ONCE))
     num_blocked = 0
     for m in range(placed.shape[0]):
-        px, py, pz = placed[m, 0] - origin[0], placed[m, 1] - origin[1], placed[m, 2] - origin[2]
-        flat = np.sqrt(px * px + py * py)
-        sq_p = flat * flat + pz * pz
+        k = m % _AT_ONCE
+        if k == 0:
+            num = fill_relative(placed, origin, m, x, y, z)
+            fill_bounds(x[:num], y[:num], z[:num], radius, max_sine, float(rows), float(columns), bounds)
+        px, py, pz = x[k], y[k], z[k]
+        sq_p = px * px + py * py + pz * pz
         p_range = np.sqrt(sq_p)
         if p_range <= radius:
             continue
         sq_limit = min(radius, p_range * max_sine) ** 2
-        row_from, row_to, column_from, column_to = cells_around(px, py, pz, np.sqrt(sq_limit) / p_range, rows, columns)
-        for row in range(row_from, row_to + 1):
-            for part in range(2 if column_to >= columns else 1):
-                first, last = (column_from, min(column_to, columns - 1)) if part == 0 else (0, column_to - columns)
-                begin, end = cell_starts[row * columns + first], cell_starts[row * columns + last + 1]
+        for row in range(int(bounds[0, k]), int(bounds[1, k]) + 1):
+            for part in range(2 if bounds[3, k] >= columns or bounds[2, k] < 0.0 else 1):
+                begin, end = cell_range(row, bounds, k, columns, cell_starts, part)
                 for i in range(begin, end):
                     qx, qy, qz, q_range = lines[i, 0], lines[i, 1], lines[i, 2], lines[i, 3]
                     dot = px * qx + py * qy + pz * qz
@@ -140,8 +162,13 @@ def find_free_blocked(placed, turned, origin, limits, rays, order, cell_starts, 
     """
     radius, max_sine, min_range, reach, max_tangent = limits[0], limits[1], limits[2], limits[3], limits[4]
     min_cosine = 1.0 / np.sqrt(1.0 + max_tangent * max_tangent)
+    x, y, z, bounds = np.empty(_AT_ONCE), np.empty(_AT_ONCE), np.empty(_AT_ONCE), np.empty((4, _AT_ONCE))
     for m in range(placed.shape[0]):
-        px, py, pz = placed[m, 0] - origin[0], placed[m, 1] - origin[1], placed[m, 2] - origin[2]
+        k = m % _AT_ONCE
+        if k == 0:
+            num = fill_relative(placed, origin, m, x, y, z)
+            fill_bounds(x[:num], y[:num], z[:num], radius, max_sine, float(rows), float(columns), bounds)
+        px, py, pz = x[k], y[k], z[k]
         sq_p = px * px + py * py + pz * pz
         p_range = np.sqrt(sq_p)
         if p_range <= radius or not min_range <= p_range <= reach:
@@ -150,11 +177,9 @@ def find_free_blocked(placed, turned, origin, limits, rays, order, cell_starts, 
         if cosine < min_cosine or sq_p > cosine * reach * reach:
             continue
         sq_limit = min(radius, p_range * max_sine) ** 2
-        row_from, row_to, column_from, column_to = cells_around(px, py, pz, np.sqrt(sq_limit) / p_range, rows, columns)
-        for row in range(row_from, row_to + 1):
-            for part in range(2 if column_to >= columns else 1):
-                first, last = (column_from, min(column_to, columns - 1)) if part == 0 else (0, column_to - columns)
-                begin, end = cell_starts[row * columns + first], cell_starts[row * columns + last + 1]
+        for row in range(int(bounds[0, k]), int(bounds[1, k]) + 1):
+            for part in range(2 if bounds[3, k] >= columns or bounds[2, k] < 0.0 else 1):
+                begin, end = cell_range(row, bounds, k, columns, cell_starts, part)
                 for i in range(begin, end):
                     dot = px * rays[i, 0] + py * rays[i, 1] + pz * rays[i, 2]
                     if dot > 0.0 and sq_p - dot * dot <= sq_limit:
