@@ -293,6 +293,16 @@ def test_a_teleport_leads_to_another_place() -> None:
     assert way[1] > 500.0
 
 
+def test_there_and_back_sees_places_twice_from_other_spots(tmp_path: Path) -> None:
+    config = replace(SHORT, num_scans=5, teleport_after=None, there_and_back=True)
+    assert [config.way_m(k) for k in range(5)] == [0.0, 1.5, 3.0, 2.25, 0.75]
+    assert [replace(config, num_scans=4).way_m(k) for k in range(4)] == [0.0, 1.5, 2.25, 0.75]
+    poses = [scan.T_map_base for scan in drive_scans(config)]
+    assert np.linalg.norm((poses[4] - poses[0])[:3, 3]) == pytest.approx(0.75, abs=0.05)
+    assert abs(np.degrees(np.arccos((np.trace(poses[4][:3, :3].T @ poses[0][:3, :3]) - 1) / 2))) < 10.0  # backs up
+    assert simulate_drive(tmp_path, config).length_m == pytest.approx(1.5 + 1.5 + 0.75 + 1.5)
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [({"scene": "indor"}, "did you mean 'indoor'"), ({"sensor": "OS1-65"}, "did you mean 'OS1-64'"),

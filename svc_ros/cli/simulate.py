@@ -29,6 +29,9 @@ TeleportOption = Annotated[
     int | None,
     typer.Option("--teleport-after", min=0, metavar="K", help="Another world after scan K: no alignment there."),
 ]
+ReturnOption = Annotated[
+    bool, typer.Option("--there-and-back", help="Back up from half-way on, along the way that was come.")
+]
 
 
 def simulate(
@@ -41,13 +44,14 @@ def simulate(
     rate: RateOption = 2.0,
     moving_share: MovingOption = 0.15,
     teleport_after: TeleportOption = None,
+    there_and_back: ReturnOption = False,
 ) -> None:
     """Simulate a LiDAR drive and write it as a ROS 2 bag with its reference trajectory."""
     from svc_ros.simulation import DriveConfig, simulate_drive
 
     config = DriveConfig(
         scene=scene, sensor=sensor, num_scans=scans, spacing_m=spacing, rate_hz=rate, seed=seed,
-        moving_share=moving_share, teleport_after=teleport_after,
+        moving_share=moving_share, teleport_after=teleport_after, there_and_back=there_and_back,
     )  # fmt: skip
     make_output_folder(out)
     with progress(f"driving through {scene}") as on_progress:

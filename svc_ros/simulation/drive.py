@@ -36,7 +36,8 @@ class DriveConfig:
     scene, sensor: names (see `SCENES`, `SENSORS`); spacing_m: way between two scans [m], None for what suits the
     scene; rate_hz: scans a second; seed: of the world and of the noise; start_ns: stamp of the first scan;
     moving_share: share of cars or people that move or leave, in [0, 1]; teleport_after: index of the last scan before
-    the carrier is put into a different world, so that this scan and the next have no true alignment.
+    the carrier is put into a different world, so that this scan and the next have no true alignment; there_and_back:
+    from half-way on the carrier backs up along the way that it came, so that places are seen twice.
     """
 
     scene: str = "street"
@@ -48,6 +49,7 @@ class DriveConfig:
     start_ns: int = 1_700_000_000_000_000_000
     moving_share: float = 0.15
     teleport_after: int | None = None
+    there_and_back: bool = False
 
     def __post_init__(self) -> None:
         if self.scene not in SCENES:
@@ -66,6 +68,11 @@ class DriveConfig:
     def step_m(self) -> float:
         """Way between two scans [m]."""
         return _SPACING_M.get(self.scene, _WALK_SPACING_M) if self.spacing_m is None else self.spacing_m
+
+    def way_m(self, k: int) -> float:
+        """Where along the track scan k is taken [m]; on the way back half-way between the scans of the way there."""
+        last = self.num_scans - 1
+        return self.step_m * (last - k + 0.5 if self.there_and_back and 2 * k > last else k)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,8 +130,8 @@ def simulate_drive(
                 on_progress(len(stamps), config.num_scans)
     reference = out / "reference_tum.txt"
     write_tum(reference, Trajectory(np.array(stamps, np.int64), np.stack(poses)))
-    jumps = 0 if config.teleport_after is None else 1
-    length = config.step_m * (config.num_scans - 1 - jumps)
+    ways = np.abs(np.diff([config.way_m(k) for k in range(config.num_scans)]))
+    length = float(ways.sum() - (0.0 if config.teleport_after is None else ways[config.teleport_after]))
     return DriveSummary(out / "bag", reference, len(stamps), num_points, length, (stamps[-1] - stamps[0]) * 1e-9)
 
 
@@ -137,7 +144,7 @@ def drive_scans(config: DriveConfig) -> Iterator[SimulatedScan]:
             place = 1
             caster = RayCaster(worlds[1])
         world = worlds[place]
-        T_world_base, time_s = world.track.pose(k * config.step_m), k / config.rate_hz
+        T_world_base, time_s = world.track.pose(config.way_m(k)), k / config.rate_hz
         T_world_lidar = T_world_base @ _mount(world)
         rng = np.random.default_rng([config.seed, 1, k])
         cast = caster.cast(T_world_lidar, sensor, rng, time_s)
