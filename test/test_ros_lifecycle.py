@@ -6,11 +6,13 @@ import contextlib
 import copy
 import sys
 import threading
+import time
 
 import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
 
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from lifecycle_msgs.msg import Transition  # noqa: E402
 from lifecycle_msgs.srv import ChangeState  # noqa: E402
 from mini_data import POSES, scan_room  # noqa: E402
@@ -163,9 +165,16 @@ def test_motion_without_its_package_says_what_to_install(host, monkeypatch, mode
 
 
 def test_nodes_of_all_modes_live_in_one_process(host):
+    told = set()
+
+    def on_diagnostics(message):
+        told.update(s.name.removesuffix(": worker") for s in message.status if s.name.endswith(": worker"))
+
+    host.node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 10)
     host.start("pairs")
     host.start("motion", mode="scan_matching")
     host.start("loops", mode="loop_closure")
+    assert spin_until(host.executor, lambda: told == {"pairs", "motion", "loops"}, 10.0)
     collectors = [DecisionCollector(host.node, host.executor, f"/{name}") for name in ("pairs", "motion")]
     player = CloudPlayer(host.node, host.executor, "/source_points", "/target_points")
     points = host.node.create_publisher(PointCloud2, "/points", QoSProfile(depth=10))
@@ -228,6 +237,14 @@ def test_a_clock_that_jumps_back_begins_anew_once(host, in_time):
         assert origin(49.9) == "start"
         tick(50)
     assert origin(50.0) == "motion"
+
+
+def test_diagnostics_come_once_a_second_while_simulated_time_stands_still(host):
+    host.start(use_sim_time=True)
+    times = []
+    host.node.create_subscription(DiagnosticArray, "/diagnostics", lambda _: times.append(time.monotonic()), 10)
+    assert spin_until(host.executor, lambda: len(times) >= 4, 10.0)
+    assert 0.7 < (times[-1] - times[0]) / (len(times) - 1) < 1.5
 
 
 def test_pairs_that_wait_when_the_clock_jumps_back_are_stale(host):

@@ -52,10 +52,11 @@ class InputMonitor:
 class Statistics:
     """Counts of everything since the start. The worker writes decisions, callbacks the rest; reads are snapshots.
 
-    inputs: their names, and whether the mode cannot do without them.
+    inputs: their names, and whether the mode cannot do without them; node: what its statuses are told under.
     """
 
-    def __init__(self, inputs: Mapping[str, bool]) -> None:
+    def __init__(self, inputs: Mapping[str, bool], node: str = "svc_registration") -> None:
+        self.node = node
         self.inputs = {name: InputMonitor(is_needed) for name, is_needed in inputs.items()}
         self.qos_problems: dict[str, str] = {}
         self.num_lost: dict[str, int] = {}  # messages of a topic that the middleware lost, and says so
@@ -115,12 +116,15 @@ def statuses(statistics: Statistics, flow: Mapping[str, Any], process_every: boo
     """The statuses of /diagnostics. `flow`: the node's own counters (pairing, worker, output)."""
     now = time.monotonic()
     numbers = statistics.numbers()
-    return [
+    told = [
         _input_status(statistics, now),
         _status("pairing", _OK, "pairs by stamp", flow["pairing"]),
         _worker_status(flow, numbers, process_every),
         _decision_status(statistics, numbers, flow["output"]),
     ]
+    for status in told:
+        status.name, status.hardware_id = f"{statistics.node}: {status.name}", statistics.node
+    return told
 
 
 def _input_status(statistics: Statistics, now: float) -> DiagnosticStatus:
@@ -168,8 +172,7 @@ def _decision_status(
 
 def _status(name: str, level: bytes, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:
     pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
-    full_name = f"svc_registration: {name}"
-    return DiagnosticStatus(level=level, name=full_name, message=message, hardware_id="svc_registration", values=pairs)
+    return DiagnosticStatus(level=level, name=name, message=message, values=pairs)
 
 
 def _percentiles(latencies_ms: Array) -> dict[str, float]:

@@ -47,7 +47,8 @@ class Session:
         self._node, self._parameters = node, parameters
         settings = parameters.settings
         self.is_active, self.is_enabled = False, True
-        self.statistics = Statistics(CLOUD_INPUTS[settings.mode])
+        # Several nodes tell on one topic: each under its name, with its namespace if it has one.
+        self.statistics = Statistics(CLOUD_INPUTS[settings.mode], node.get_fully_qualified_name().lstrip("/"))
         # What may need a package that is not there comes first: nothing is left behind then.
         self.engine: Engine = self._make_engine()
         self.frames = Frames(node, settings)
