@@ -14,6 +14,7 @@ pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from mini_data import POSES, scan_room
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from ros_bench import Host, cloud
 from sensor_msgs.msg import PointCloud2
@@ -139,3 +140,20 @@ def test_a_configuration_that_fails_halfway_leaves_nothing_behind(host, tree, mo
     after = [len(list(entities)) for entities in (node.publishers, node.subscriptions, node.services, node.timers)]
     assert after == before
     assert tree.num_listeners == 0
+
+
+def test_a_sensor_frame_that_is_set_at_work_is_looked_up_or_refused_for_want_of_tf2(host, tree, monkeypatch):
+    node = host.start(mode="scan_matching")
+    change = [Parameter("sensor_frame", value="lidar")]
+    with monkeypatch.context() as patch:
+        patch.setitem(sys.modules, "tf2_ros", None)
+        (answer,) = node.set_parameters(change)
+    assert not answer.successful
+    assert answer.reason.startswith("sensor_frame needs tf2_ros (apt install")
+    stream = Stream(host)
+    assert stream.decide(1.0, "map")["verdict"] == "accepted"  # still the cloud's own frame
+    (answer,) = node.set_parameters(change)
+    assert answer.successful
+    assert tree.num_listeners == 1
+    assert stream.decide(1.1, "map")["reason"] == "tf_unavailable"
+    assert stream.decide(1.2, "lidar", shift=0.0)["reason"] == "unsupported_cloud"  # a stream stays with its frame

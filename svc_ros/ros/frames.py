@@ -39,7 +39,12 @@ class Frames:
         self._buffer: Any = None
         self._listener: Any = None
         if needs := _needs_tf(settings):
-            self._start_listening(needs)
+            self.listen(needs)
+
+    def listen(self, wanted_by: str) -> None:
+        """Receive transforms from now on; MissingDependencyError without tf2 names what wants them."""
+        if self._buffer is None:
+            self._start_listening(wanted_by)
 
     def sensor_origin(self, settings: NodeSettings, cloud_frame: str, stamp_ns: int) -> Array:
         """The sensor's position (3,) [m] in `cloud_frame` at the cloud's stamp; TransformUnavailableError without."""
@@ -54,8 +59,7 @@ class Frames:
         """
         if target_frame == source_frame:
             return np.eye(4)
-        if self._buffer is None:
-            self._start_listening(f"a transform from {source_frame!r} to {target_frame!r}")
+        self.listen(f"a transform from {source_frame!r} to {target_frame!r}")
         try:
             found = self._buffer.lookup_transform(
                 target_frame, source_frame, Time(nanoseconds=stamp_ns), Duration(seconds=timeout_s)

@@ -28,6 +28,7 @@ class RegistrationNode(LifecycleNode):
         super().__init__(options.pop("node_name", NODE_NAME), **options)
         self._svc = NodeParameters(self)
         self._session: Session | None = None
+        self._last_session: Session | None = None
         self._failure: Exception | None = None
         for text in self._svc.unknown_overrides():
             self.get_logger().warning(text)
@@ -45,6 +46,9 @@ class RegistrationNode(LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Create everything and warm up; what goes wrong is said in the log, and the node stays unconfigured."""
+        if self._last_session is not None:
+            self._last_session.services.give_back()  # they may stay for a moment, and would answer for the new ones
+            self._last_session = None
         try:
             self._session = Session(self, self._svc)
         except Exception as error:
@@ -86,4 +90,5 @@ class RegistrationNode(LifecycleNode):
         if self._session is not None:
             self._session.stop(_CLEANUP_S)
             self._session.destroy()
+            self._last_session = self._session if self._session.services.are_left else None
             self._session = None

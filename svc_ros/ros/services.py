@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import json
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 from rclpy.task import Future
 from rclpy.timer import Timer
@@ -44,25 +47,35 @@ class Services:
                 node.create_service(Trigger, "~/save_graph", self._on_save_graph, callback_group=waits)
             )
 
+        for service in self._services:
+            service.send_response = functools.partial(_send_if_it_lives, service.send_response)
+
     def destroy(self) -> None:
         """Answer what still waits, and give the services back; if something waits, as soon as it has its answer."""
         self._is_ended = True
         if not self._waiting:
-            self._give_back()
+            self.give_back()
             return
         for future in list(self._waiting):
             future.set_result(_ENDED)
         # The executor sends an answer after its callback has ended, and fails if there is no service any more.
         self._waiting.clear()
         self._last_answers = self._node.create_timer(
-            _ANSWERED_S, self._give_back, clock=Clock(clock_type=ClockType.STEADY_TIME)
+            _ANSWERED_S, self.give_back, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
 
-    def _give_back(self) -> None:
+    @property
+    def are_left(self) -> bool:
+        """True if there are services that have not been given back yet."""
+        return bool(self._services)
+
+    def give_back(self) -> None:
+        """Give the services back now; who still waits for an answer gets none if it is not sent yet."""
         if self._last_answers is not None:
             self._node.destroy_timer(self._last_answers)
-        for service in self._services:
-            self._node.destroy_service(service)
+            self._last_answers = None
+        while self._services:
+            self._node.destroy_service(self._services.pop())
 
     def _on_status(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         session = self._session
@@ -131,3 +144,9 @@ class Services:
 
         self._session.worker.jobs.call_next(run)
         return future
+
+
+def _send_if_it_lives(send: Callable[..., None], *answer: Any) -> None:
+    """Send an answer, unless the service is gone: the executor would end with an exception."""
+    with contextlib.suppress(InvalidHandle):
+        send(*answer)

@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
-from svc_ros.core.errors import InputError
+from svc_ros.core.errors import InputError, MissingDependencyError
 from svc_ros.core.result import Reason
 from svc_ros.core.scan import Array, Scan
 from svc_ros.pipeline.decide import refused
@@ -55,7 +57,7 @@ class Session:
         self.outputs = self._make_outputs(settings)
         self.worker = Worker(self._process, self._warm_up)
         self.inputs = Inputs(node, parameters, self.statistics, self._take)
-        self._services = Services(node, parameters, self)
+        self.services = Services(node, parameters, self)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Steady clocks: a timer on simulated time stops when the bag is paused.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -63,6 +65,7 @@ class Session:
             node.create_timer(1.0, self._tell, clock=steady),
             node.create_timer(0.25, self.inputs.give_up_waiting, clock=steady),
         ]
+        node.add_on_set_parameters_callback(self._check_change)
         self._jumps = node.get_clock().create_jump_callback(_JUMP, post_callback=self._on_clock_jump)
         sys.setswitchinterval(min(_SWITCH_S, sys.getswitchinterval()))
         self.worker.start()
@@ -85,10 +88,11 @@ class Session:
 
     def destroy(self) -> None:
         """Give everything back to the node; `stop` comes first."""
+        self._node.remove_on_set_parameters_callback(self._check_change)
         self._jumps.unregister()
         for timer in self._timers:
             self._node.destroy_timer(timer)
-        for part in (self.inputs, self._services, self.outputs, self.frames):
+        for part in (self.inputs, self.services, self.outputs, self.frames):
             part.destroy()
         self._node.destroy_publisher(self._diagnostics)
 
@@ -147,6 +151,15 @@ class Session:
             job = job.drop(Reason.INACTIVE, "the node is not active" if self.is_enabled else "the node is disabled")
         self.statistics.receive()
         self.worker.jobs.put(job, None if settings.process_every else settings.queue_size)
+
+    def _check_change(self, parameters: list[Parameter]) -> SetParametersResult:
+        """A frame that is set at work needs TF from now on; what the values mean is checked elsewhere."""
+        if any(p.name == "sensor_frame" and p.value for p in parameters):
+            try:
+                self.frames.listen("sensor_frame")
+            except MissingDependencyError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
 
     def _tell(self) -> None:
         settings = self._parameters.settings
