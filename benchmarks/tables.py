@@ -1,0 +1,304 @@
+"""Writes the measured tables of README.md and docs/how_it_decides.md from the JSON files in benchmarks/results.
+
+    python benchmarks/tables.py [--check]        (--check writes nothing; exit code 1 where a page is out of date)
+
+A section stands between `<!-- name -->` and `<!-- /name -->`; decision.py and registration.py measure what it shows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from svc_ros.core.config import preset, walk
+
+PROJECT_ROOT = Path(__file__).resolve().parent.parent
+RESULTS = PROJECT_ROOT / "benchmarks" / "results"
+PAGES = (PROJECT_ROOT / "README.md", PROJECT_ROOT / "docs" / "how_it_decides.md")
+RECORDED, ALL, TRAFFIC, ROOMS = "recorded sets", "all sets", "simulated traffic", "simulated rooms"
+RULES = {  # as decision.py names them -> as the pages do
+    "svc": "`svc`",
+    "svc, weights of the other sets": "`svc`, weights fitted without the tested set",
+    "svc, not refined": "`svc`, not refined",
+    "svc, no sight lines": "`svc`, no sight lines",
+    "logistic, no sight lines": "logistic regression without sight lines, fitted without the tested set",
+    "overlap 0.3": "overlap of at least 0.3",
+    "svc_paper": "`svc_paper`, the published rule",
+}
+PARTS = {  # what is taken away, as decision.py names it -> as the page does
+    "svc": "nothing",
+    "svc, not refined": "refinement before judging",
+    "svc, no sight lines": "all that sight lines and tightness tell",
+    "svc, plain overlap": "oriented overlap (plain overlap in its place)",
+    "svc, opposed surfaces allowed": "`decision.max_opposed_per_overlap`",
+    "svc, one plane is enough": "`decision.min_constraint`",
+    "svc, no stricter where surfaces are weak": "`decision.weak_constraint` and what is stricter below it",
+    "svc, no doubt by slips": "doubts by slips",
+    "svc, cone 0.4438 deg": "the cone by the sensor's beams (0.44 deg in its place)",
+}
+METHODS = {  # as registration.py names them -> as the pages do
+    "svc": "`svc`",
+    "svc, no wide search": "`svc` without the wide search",
+    "svc, three-point cliques": "`svc` with three-point cliques in place of SC2",
+    "svc_paper": "`svc_paper`",
+    "sc2": "`sc2`, accepting all",
+    "Open3D RANSAC": "Open3D RANSAC, accepting all",
+    "Open3D FGR": "Open3D FGR, accepting all",
+    "KISS-Matcher": "KISS-Matcher, as it says itself",
+}
+WEIGHTS = {  # of DecisionConfig -> the number that it weighs
+    "free_offset": "offset (fitted, less 0.6)",
+    "blocked_weight": "- log of blocked share over oriented overlap, the worse scan's",
+    "scattered_weight": "- log of the same outside the one or two most blocked sectors",
+    "contradicted_weight": "- log of the blocked share of the lines that meet unmatched surface",
+    "tight_weight": "+ log odds of the share of agreeing points in tight contact",
+}
+OVERLAPS = ("< 0.3", "0.3-0.5", "0.5-0.7", "> 0.7")
+Report = Mapping[str, Any]
+Row = Sequence[str]
+
+
+def rules_table(decision: Report, _: Report) -> str:
+    """README: every rule on the recorded sets, and on all."""
+    recorded, both = decision["decision"][RECORDED], decision["decision"][ALL]
+    head = ("rule", "F1", "false accepts", "AUC", "F1, simulated too", "false accepts, simulated too")
+    rows = [
+        (told, *_quality(recorded[rule]), _share(recorded[rule]["roc_auc"]), *_quality(both[rule]))
+        for rule, told in RULES.items()
+    ]
+    return _table(head, rows)
+
+
+def left_out_table(decision: Report, _: Report) -> str:
+    """README: each recorded set by weights that were fitted without it."""
+    tests, tables = decision["weights"]["leave_one_set_out"], decision["decision"]
+    rows = [
+        (f"`{name}`", _share(test["margin_auc"]), *_quality(tables[name]["svc, weights of the other sets"]))
+        for name, test in tests.items()
+        if test["margin_auc"] is not None
+    ]
+    return _table(("left out of the fit", "AUC of the margin on it", "F1", "false accepts"), rows)
+
+
+def registration_table(_: Report, registration: Report) -> str:
+    """README: whole registrations by every method, all sets together."""
+    table = registration["registration"][ALL]
+    rows = []
+    for method, told in METHODS.items():
+        low = [sum(counts) for counts in zip(*(table[method]["by_overlap"][o] for o in OVERLAPS[:2]), strict=True)]
+        shares = (f"{table[method]['success_rate']:.2f}", str(table[method]["num_false_accepted"]))
+        rows.append((told, *shares, f"{low[0]} of {low[1]}"))
+    return _table(("method", "accepted and right", "false accepts", "right candidate at overlap below 0.5"), rows)
+
+
+def overlap_table(_: Report, registration: Report) -> str:
+    """Right candidates by overlap."""
+    table = registration["registration"][ALL]
+    rows = [
+        (told, *("{} of {}".format(*table[method]["by_overlap"][overlap]) for overlap in OVERLAPS))
+        for method, told in METHODS.items()
+    ]
+    return _table(("method", *(f"overlap {overlap}" for overlap in OVERLAPS)), rows)
+
+
+def weights_table(decision: Report, _: Report) -> str:
+    """Configured and fitted weights, and how far they move when a set is left out."""
+    weights = decision["weights"]
+    rows = []
+    for name, told in WEIGHTS.items():
+        moved = [test["weights"][name] for test in weights["leave_one_set_out"].values()]
+        values = (weights["configured"][name], weights["fitted_to_all"][name])
+        rows.append((f"`decision.{name}`", told, *map(str, values), f"{min(moved)} to {max(moved)}"))
+    return _table(("value", "what it weighs", "configured", "fitted to all sets", "with one set left out"), rows)
+
+
+def margins_table(decision: Report, _: Report) -> str:
+    """The margins nearest to the border, by set: as configured, and by weights that never saw the set."""
+    counts, rows = decision["weights"]["num_right_and_wrong"], []
+    for name, test in decision["weights"]["leave_one_set_out"].items():
+        own, right, wrong = test["as_configured"], *counts[name]
+        nearest = [t[key] for key in ("smallest_right_margin", "largest_wrong_margin") for t in (own, test)]
+        rows.append((f"`{name}`" if " " not in name else name, str(right), str(wrong), *map(_margin, nearest)))
+    head = (
+        "set", "right poses", "wrong poses in contact", "smallest right margin", "the same, set left out of the fit",
+        "largest wrong margin", "the same, set left out of the fit",
+    )  # fmt: skip
+    return _table(head, rows)
+
+
+def parts_table(decision: Report, _: Report) -> str:
+    """What each part of the rule is good for: answers without it."""
+    recorded, both = decision["decision"][RECORDED], decision["decision"][ALL]
+    rows = [
+        (told, *_quality(recorded[rule]), *_quality(both[rule]), *(_of_set(decision, name, rule) for name in HARD))
+        for rule, told in PARTS.items()
+    ]
+    return _table((*_PARTS_HEAD, *HARD.values()), rows)
+
+
+def numbers_table(decision: Report, _: Report) -> str:
+    """The same for each of the four weighed numbers, the others fitted again, each set by the weights of the others."""
+    rule = "svc, weights of the other sets"
+    names = {rule: "nothing", **{f"{rule}, no {n}": n for n in ("blocked", "scattered", "contradicted", "tight")}}
+    recorded, both = decision["decision"][RECORDED], decision["decision"][ALL]
+    rows = [
+        (told, *_quality(recorded[name]), *_quality(both[name]), *(_of_set(decision, hard, name) for hard in HARD))
+        for name, told in names.items()
+    ]
+    return _table((*_PARTS_HEAD, *HARD.values()), rows)
+
+
+_PARTS_HEAD = ("taken away", "F1", "false accepts", "F1, simulated too", "false accepts, simulated too")
+HARD = {TRAFFIC: "true poses in traffic refused", ROOMS: "wrong poses in alike rooms accepted"}
+
+
+def sets_table(decision: Report, _: Report) -> str:
+    """False accepts and recall of three rules on each set."""
+    rules = {"svc": "`svc`", "overlap 0.3": "overlap 0.3", "svc_paper": "`svc_paper`"}
+    rows = []
+    for name, num in decision["num_poses"].items():
+        told = [decision["decision"][name][rule] for rule in rules]
+        poses = (f"`{name}`" if " " not in name else name, str(num))
+        rows.append((*poses, *(str(t["num_false_accepted"]) for t in told), *(_share(t["recall"]) for t in told)))
+    head = ("set", "poses", *(f"{what}, {rule}" for what in ("false accepts", "recall") for rule in rules.values()))
+    return _table(head, rows)
+
+
+def covariance_table(decision: Report, _: Report) -> str:
+    """Share of true errors within two sigma."""
+    rows = [
+        (f"`{name}`" if " " not in name else name, str(found["num_pairs"]), _share(found["within_2_sigma"]),
+         _share(min(found["within_2_sigma_by_axis"].values())))
+        for name, found in decision["covariance"].items()
+    ]  # fmt: skip
+    return _table(("set", "pairs", "within 2 sigma, all six axes at once", "the worst single axis"), rows)
+
+
+def borders_table(_: Report, __: Report) -> str:
+    """Every value of the decision that is no weight, of each preset where they differ."""
+    values = [
+        {info.name: info for info in walk(preset(name))} for name in ("lidar_outdoor", "lidar_indoor", "rgbd_indoor")
+    ]
+    rows = []
+    for name, info in values[0].items():
+        group, _, own = name.partition(".")
+        if group == "decision" and own not in WEIGHTS:
+            different = dict.fromkeys(str(preset_values[name].default) for preset_values in values)
+            unit = f" [{info.unit}]" if info.unit else ""
+            rows.append((f"`{name}`", " / ".join(different), f"{info.description}{unit}"))
+    return _table(("border", "value", "meaning"), rows)
+
+
+def rooms_accepted(decision: Report, _: Report) -> str:
+    """How many pairs of rooms that look alike are accepted."""
+    found = decision["decision"][ROOMS]["svc"]
+    return f"{found['num_false_accepted']} of {found['num_wrong']}"
+
+
+def traffic_refused(decision: Report, _: Report) -> str:
+    """How many true poses in traffic are not accepted."""
+    found = decision["decision"][TRAFFIC]["svc"]
+    return f"{_refused(found)} of {found['num_correct']}"
+
+
+def pose_counts(decision: Report, _: Report) -> str:
+    """How many labelled poses there are."""
+    recorded = {name: num for name, num in decision["num_poses"].items() if not name.startswith("simulated")}
+    simulated = sum(decision["num_poses"].values()) - sum(recorded.values())
+    return f"{sum(recorded.values())} labelled poses of {len(recorded)} recorded sets and {simulated} simulated ones"
+
+
+def num_registered(_: Report, registration: Report) -> str:
+    """How many pairs the whole registrations are of."""
+    return f"{registration['registration'][ALL]['svc']['num_pairs']} pairs"
+
+
+SECTIONS: dict[str, Callable[[Report, Report], str]] = {
+    "decision rules": rules_table, "left out": left_out_table, "whole registrations": registration_table,
+    "by overlap": overlap_table, "weights": weights_table, "margins": margins_table, "parts": parts_table,
+    "numbers": numbers_table, "by set": sets_table, "covariance": covariance_table, "borders": borders_table,
+    "rooms accepted": rooms_accepted, "traffic refused": traffic_refused, "pose counts": pose_counts,
+    "num registered": num_registered,
+}  # fmt: skip
+
+
+def fill(text: str, decision: Report, registration: Report) -> str:
+    """The text with every section that it has written anew; ValueError where a mark is not closed."""
+    for name, section in SECTIONS.items():
+        begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
+        if text.count(begin) != text.count(end):
+            raise ValueError(f"expected as many {end} as {begin}, found {text.count(end)} and {text.count(begin)}")
+        before, *parts = text.split(begin)
+        for part in parts:
+            written = section(decision, registration)
+            block = f"\n{written}\n" if written.startswith("|") else written
+            before += f"{begin}{block}{end}{part.partition(end)[2]}"
+        text = before
+    return text
+
+
+def _of_set(decision: Report, name: str, rule: str) -> str:
+    found = decision["decision"][name][rule]
+    if name == TRAFFIC:
+        return f"{_refused(found)} of {found['num_correct']}"
+    return f"{found['num_false_accepted']} of {found['num_wrong']}"
+
+
+def _refused(found: Report) -> int:
+    return round((1.0 - found["recall"]) * found["num_correct"])
+
+
+def _quality(found: Report) -> tuple[str, str]:
+    return _share(found["f1"]), str(found["num_false_accepted"])
+
+
+def _share(value: float | None) -> str:
+    return "" if value is None else f"{value:.3f}"
+
+
+def _margin(value: float | None) -> str:
+    return "" if value is None else f"{value:+.2f}"
+
+
+def _table(head: Row, rows: Iterable[Row]) -> str:
+    rows = list(rows)
+    right = ["---:" if all(_is_number(row[k]) for row in rows) else "---" for k in range(len(head))]
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, right, *rows))
+
+
+def _is_number(cell: str) -> bool:
+    return cell.replace(" of ", "").replace(" to ", "").strip("+-.0123456789 ") == "" and "-" not in cell[1:2]
+
+
+def read_results(folder: Path) -> tuple[Report, Report]:
+    """decision.json and registration.json."""
+    return json.loads((folder / "decision.json").read_text()), json.loads((folder / "registration.json").read_text())
+
+
+def main(args: list[str] | None = None) -> int:
+    """Exit code 0; 1 with --check where a page is out of date; 2 where a file is missing or a mark not closed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true", help="write nothing")
+    options = parser.parse_args(args)
+    old = []
+    try:
+        results = read_results(RESULTS)
+        for page in PAGES:
+            text = page.read_text(encoding="utf-8")
+            written = fill(text, *results)
+            old += [page] if written != text else []
+            if not options.check:
+                page.write_text(written, encoding="utf-8")
+    except (OSError, ValueError, KeyError) as error:
+        print(f"tables: {error}", file=sys.stderr)
+        return 2
+    print("\n".join(f"{page}: {'out of date' if options.check else 'written'}" for page in old) or "nothing to do")
+    return int(options.check and bool(old))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

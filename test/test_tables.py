@@ -1,0 +1,93 @@
+"""The measured tables of README.md and docs/how_it_decides.md are what benchmarks/tables.py makes of the results."""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+
+import pytest
+from conftest import PROJECT_ROOT
+from test_readme import module_from
+
+PAGE = PROJECT_ROOT / "docs" / "how_it_decides.md"
+
+
+@pytest.fixture(scope="module")
+def tables():
+    return module_from(PROJECT_ROOT / "benchmarks" / "tables.py")
+
+
+@pytest.fixture(scope="module")
+def results(tables):
+    return tables.read_results(tables.RESULTS)
+
+
+def test_the_pages_are_what_the_command_writes(tables, results):
+    for page in tables.PAGES:
+        text = page.read_text("utf-8")
+        assert tables.fill(text, *results) == text, f"{page.name} is out of date: python benchmarks/tables.py"
+
+
+def test_every_section_has_a_place(tables):
+    text = "".join(page.read_text("utf-8") for page in tables.PAGES)
+    assert [name for name in tables.SECTIONS if f"<!-- {name} -->" not in text] == []
+
+
+def test_changed_results_change_the_tables(tables, results):
+    decision, registration = copy.deepcopy(results)
+    decision["decision"]["recorded sets"]["svc"]["num_false_accepted"] = 987
+    decision["decision"]["simulated rooms"]["svc"]["num_false_accepted"] = 54
+    registration["registration"]["all sets"]["svc"]["by_overlap"]["< 0.3"] = [33, 44]
+    written = tables.fill(PAGE.read_text("utf-8"), decision, registration)
+    assert "| nothing | 1.000 | 987 |" in written
+    assert f"54 of {decision['decision']['simulated rooms']['svc']['num_wrong']}<!-- /rooms accepted -->" in written
+    assert "| `svc` | 33 of 44 |" in written
+    assert tables.fill(written, *results) == PAGE.read_text("utf-8")
+
+
+def test_borders_are_those_of_the_presets(tables, results):
+    table = tables.borders_table(*results)
+    assert "| `decision.slip_m` | 2.4 / 0.9 |" in table
+    assert not [name for name in tables.WEIGHTS if f"decision.{name}`" in table]
+
+
+def test_the_weights_of_the_page_are_those_of_the_stored_run(tables, results):
+    configured = results[0]["weights"]["configured"]
+    told = re.findall(r"^\| `decision\.(\w+)` \|[^|]+\| ([-\d.]+) \|", tables.weights_table(*results), re.MULTILINE)
+    assert {name: float(value) for name, value in told} == configured
+
+
+def test_an_open_mark_is_refused(tables, results):
+    with pytest.raises(ValueError, match="expected as many <!-- /margins -->"):
+        tables.fill("<!-- margins -->\n| a |", *results)
+
+
+def test_out_of_date_pages_are_told(tables, results, tmp_path, monkeypatch, capsys):
+    page = tmp_path / "page.md"
+    page.write_text("of <!-- rooms accepted -->old<!-- /rooms accepted --> pairs")
+    monkeypatch.setattr(tables, "PAGES", (page,))
+    assert tables.main(["--check"]) == 1
+    assert "old" in page.read_text()
+    assert "out of date" in capsys.readouterr().out
+    assert tables.main([]) == 0
+    assert re.fullmatch(r"of <!-- rooms accepted -->\d+ of \d+<!-- /rooms accepted --> pairs", page.read_text())
+    assert tables.main(["--check"]) == 0
+
+
+def test_missing_results_are_named(tables, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(tables, "RESULTS", tmp_path)
+    assert tables.main([]) == 2
+    assert "decision.json" in capsys.readouterr().err
+    (tmp_path / "decision.json").write_text(json.dumps({}))
+    assert tables.main([]) == 2
+
+
+def test_the_picture_is_drawn_from_the_configuration(tmp_path):
+    pictures = module_from(PROJECT_ROOT / "tools" / "decision_pictures.py")
+    pictures.draw_borders(tmp_path / "border.png")
+    assert (tmp_path / "border.png").read_bytes().startswith(b"\x89PNG")
+    config = pictures.preset("lidar_outdoor").decision
+    few, many = (pictures.probabilities(config, share) for share in (0.1, 0.4))
+    assert few[-1, 0] > 0.5 > few[0, -1]  # tight contact and free lines; loose contact and blocked ones
+    assert (few >= many).all()
