@@ -10,7 +10,7 @@ from svc_ros.core.nearest_kernels import find_nearest
 _jit = njit(nogil=True, cache=True, error_model="numpy")
 
 _FIRST_DAMPING, _DAMPING_FACTOR, _TRIALS = 1e-3, 10.0, 10
-_SMALL_SHIFT_M, _SMALL_TURN = 5e-4, 1e-4  # [m], [rad]: a smaller step ends the search
+_SMALL_SHIFT, _SMALL_TURN = 2e-3, 4e-4  # a step of less [m], [rad] a metre of the radius ends the search
 
 
 @_jit
@@ -41,7 +41,7 @@ def align(T, source, normals, target, radius, grid, rounds):  # type: ignore[no-
             return done + 1
         damping /= _DAMPING_FACTOR
         T[:] = moved
-        if _length(step[:3]) <= _SMALL_SHIFT_M and _length(step[3:]) <= _SMALL_TURN:
+        if _length(step[:3]) <= _SMALL_SHIFT * radius and _length(step[3:]) <= _SMALL_TURN * radius:
             return done + 1
     return rounds
 

@@ -8,7 +8,7 @@ are always looked at (paper, Algorithm 1). The published rule, to the letter, is
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,12 +44,12 @@ def gather_evidence(
 
     allowance: from the oriented overlap ratio, which is known first, to the blocked share beyond which the pose is of
     no interest; the look ends there, and its evidence is not `complete`: at least so many lines are blocked, or, where
-    the allowance is below zero, none was looked at.
+    the allowance is below zero, none was looked at and the shares are bounds, found with few points.
     """
     if allowance(0.0) < 0.0:  # whether it is of interest at all depends on the overlap, which few points tell
-        shares = _glimpse(source, target, T_target_source, config)
-        if allowance(shares[1] + _GLIMPSE_ERROR) < 0.0:
-            return SightViewEvidence(_unseen(target), _unseen(source), *shares)
+        for shares in _glimpses(source, target, T_target_source, config):
+            if allowance(shares[1] + _GLIMPSE_ERROR) < 0.0:
+                return SightViewEvidence(_unseen(target), _unseen(source), *shares)
     ways = ((target, source, T_target_source), (source, target, se3.invert(T_target_source)))
     in_target, in_source = on_all_processors(lambda way: place(*way, config), ways)
     shares = np.minimum(in_target.shares(), in_source.shares()).tolist()
@@ -67,14 +67,15 @@ def index(scan: PreparedScan, config: SightViewConfig) -> None:
     thinned_scan(scan, _GLIMPSE_POINTS)
 
 
-def _glimpse(
+def _glimpses(
     source: PreparedScan, target: PreparedScan, T_target_source: Array, config: SightViewConfig
-) -> list[float]:
-    """The shares that both scans have in common, from a few points of each: within _GLIMPSE_ERROR of the true ones."""
-    few_source, few_target = (thinned_scan(scan, _GLIMPSE_POINTS) for scan in (source, target))
-    in_target = place(target, few_source, T_target_source, config)
-    in_source = place(source, few_target, se3.invert(T_target_source), config)
-    return [float(share) for share in np.minimum(in_target.shares(), in_source.shares())]
+) -> Iterator[list[float]]:
+    """The shares of each way, from a few points of either scan: within _GLIMPSE_ERROR of the true ones.
+
+    Both scans have the smaller ones in common: one way can be enough to know that these are too small.
+    """
+    yield place(target, thinned_scan(source, _GLIMPSE_POINTS), T_target_source, config).shares().tolist()
+    yield place(source, thinned_scan(target, _GLIMPSE_POINTS), se3.invert(T_target_source), config).shares().tolist()
 
 
 def _unseen(observer: PreparedScan) -> SightLines:
