@@ -182,7 +182,10 @@ def test_links_lead_somewhere():
         if target.startswith("#"):
             assert target[1:] in anchors, target
         else:
-            assert (PROJECT_ROOT / target).is_file(), target
+            name, _, anchor = target.partition("#")
+            path = PROJECT_ROOT / name
+            assert path.is_file(), target
+            assert not anchor or f"\n## {anchor.replace('-', ' ')}\n" in path.read_text("utf-8").lower(), target
 
 
 def test_pictures_are_small_pngs():
