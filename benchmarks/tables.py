@@ -2,7 +2,8 @@
 
     python benchmarks/tables.py [--check]        (--check writes nothing; exit code 1 where a page is out of date)
 
-A section stands between `<!-- name -->` and `<!-- /name -->`; decision.py and registration.py measure what it shows.
+A section stands between `<!-- name -->` and `<!-- /name -->`; decision.py, registration.py and compare.py measure
+what it shows.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from svc_ros.core.config import preset, walk
 PROJECT_ROOT = Path(__file__).resolve().parent.parent
 RESULTS = PROJECT_ROOT / "benchmarks" / "results"
 PAGES = (PROJECT_ROOT / "README.md", PROJECT_ROOT / "docs" / "how_it_decides.md")
+MEASURED = ("decision", "registration", "latest")
 RECORDED, ALL, TRAFFIC, ROOMS = "recorded sets", "all sets", "simulated traffic", "simulated rooms"
 RULES = {  # as decision.py names them -> as the pages do
     "svc": "`svc`",
@@ -58,13 +60,20 @@ WEIGHTS = {  # of DecisionConfig -> the number that it weighs
     "tight_weight": "+ log odds of the share of agreeing points in tight contact",
 }
 OVERLAPS = ("< 0.3", "0.3-0.5", "0.5-0.7", "> 0.7")
+TIMES = {  # README -> where latest.json has it
+    "`register`": ("register",),
+    "`register`, target described before": ("register", "reused"),
+    "`verify`, both scans prepared": ("verify",),
+    "KISS-Matcher, 0.3 m": ("kiss_matcher",),
+    "Open3D RANSAC on FPFH": ("open3d_ransac",),
+}
 Report = Mapping[str, Any]
 Row = Sequence[str]
 
 
-def rules_table(decision: Report, _: Report) -> str:
+def rules_table(results: Report) -> str:
     """README: every rule on the recorded sets, and on all."""
-    recorded, both = decision["decision"][RECORDED], decision["decision"][ALL]
+    recorded, both = results["decision"]["decision"][RECORDED], results["decision"]["decision"][ALL]
     head = ("rule", "F1", "false accepts", "AUC", "F1, simulated too", "false accepts, simulated too")
     rows = [
         (told, *_quality(recorded[rule]), _share(recorded[rule]["roc_auc"]), *_quality(both[rule]))
@@ -73,9 +82,9 @@ def rules_table(decision: Report, _: Report) -> str:
     return _table(head, rows)
 
 
-def left_out_table(decision: Report, _: Report) -> str:
+def left_out_table(results: Report) -> str:
     """README: each recorded set by weights that were fitted without it."""
-    tests, tables = decision["weights"]["leave_one_set_out"], decision["decision"]
+    tests, tables = results["decision"]["weights"]["leave_one_set_out"], results["decision"]["decision"]
     rows = [
         (f"`{name}`", _share(test["margin_auc"]), *_quality(tables[name]["svc, weights of the other sets"]))
         for name, test in tests.items()
@@ -84,9 +93,9 @@ def left_out_table(decision: Report, _: Report) -> str:
     return _table(("left out of the fit", "AUC of the margin on it", "F1", "false accepts"), rows)
 
 
-def registration_table(_: Report, registration: Report) -> str:
+def registration_table(results: Report) -> str:
     """README: whole registrations by every method, all sets together."""
-    table = registration["registration"][ALL]
+    table = results["registration"]["registration"][ALL]
     rows = []
     for method, told in METHODS.items():
         low = [sum(counts) for counts in zip(*(table[method]["by_overlap"][o] for o in OVERLAPS[:2]), strict=True)]
@@ -95,9 +104,9 @@ def registration_table(_: Report, registration: Report) -> str:
     return _table(("method", "accepted and right", "false accepts", "right candidate at overlap below 0.5"), rows)
 
 
-def overlap_table(_: Report, registration: Report) -> str:
+def overlap_table(results: Report) -> str:
     """Right candidates by overlap."""
-    table = registration["registration"][ALL]
+    table = results["registration"]["registration"][ALL]
     rows = [
         (told, *("{} of {}".format(*table[method]["by_overlap"][overlap]) for overlap in OVERLAPS))
         for method, told in METHODS.items()
@@ -105,9 +114,9 @@ def overlap_table(_: Report, registration: Report) -> str:
     return _table(("method", *(f"overlap {overlap}" for overlap in OVERLAPS)), rows)
 
 
-def weights_table(decision: Report, _: Report) -> str:
+def weights_table(results: Report) -> str:
     """Configured and fitted weights, and how far they move when a set is left out."""
-    weights = decision["weights"]
+    weights = results["decision"]["weights"]
     rows = []
     for name, told in WEIGHTS.items():
         moved = [test["weights"][name] for test in weights["leave_one_set_out"].values()]
@@ -116,10 +125,10 @@ def weights_table(decision: Report, _: Report) -> str:
     return _table(("value", "what it weighs", "configured", "fitted to all sets", "with one set left out"), rows)
 
 
-def margins_table(decision: Report, _: Report) -> str:
+def margins_table(results: Report) -> str:
     """The margins nearest to the border, by set: as configured, and by weights that never saw the set."""
-    counts, rows = decision["weights"]["num_right_and_wrong"], []
-    for name, test in decision["weights"]["leave_one_set_out"].items():
+    counts, rows = results["decision"]["weights"]["num_right_and_wrong"], []
+    for name, test in results["decision"]["weights"]["leave_one_set_out"].items():
         own, right, wrong = test["as_configured"], *counts[name]
         nearest = [t[key] for key in ("smallest_right_margin", "largest_wrong_margin") for t in (own, test)]
         rows.append((f"`{name}`" if " " not in name else name, str(right), str(wrong), *map(_margin, nearest)))
@@ -130,23 +139,23 @@ def margins_table(decision: Report, _: Report) -> str:
     return _table(head, rows)
 
 
-def parts_table(decision: Report, _: Report) -> str:
+def parts_table(results: Report) -> str:
     """What each part of the rule is good for: answers without it."""
-    recorded, both = decision["decision"][RECORDED], decision["decision"][ALL]
+    recorded, both = results["decision"]["decision"][RECORDED], results["decision"]["decision"][ALL]
     rows = [
-        (told, *_quality(recorded[rule]), *_quality(both[rule]), *(_of_set(decision, name, rule) for name in HARD))
+        (told, *_quality(recorded[rule]), *_quality(both[rule]), *(_of_set(results, name, rule) for name in HARD))
         for rule, told in PARTS.items()
     ]
     return _table((*_PARTS_HEAD, *HARD.values()), rows)
 
 
-def numbers_table(decision: Report, _: Report) -> str:
+def numbers_table(results: Report) -> str:
     """The same for each of the four weighed numbers, the others fitted again, each set by the weights of the others."""
     rule = "svc, weights of the other sets"
     names = {rule: "nothing", **{f"{rule}, no {n}": n for n in ("blocked", "scattered", "contradicted", "tight")}}
-    recorded, both = decision["decision"][RECORDED], decision["decision"][ALL]
+    recorded, both = results["decision"]["decision"][RECORDED], results["decision"]["decision"][ALL]
     rows = [
-        (told, *_quality(recorded[name]), *_quality(both[name]), *(_of_set(decision, hard, name) for hard in HARD))
+        (told, *_quality(recorded[name]), *_quality(both[name]), *(_of_set(results, hard, name) for hard in HARD))
         for name, told in names.items()
     ]
     return _table((*_PARTS_HEAD, *HARD.values()), rows)
@@ -156,29 +165,29 @@ _PARTS_HEAD = ("taken away", "F1", "false accepts", "F1, simulated too", "false 
 HARD = {TRAFFIC: "true poses in traffic refused", ROOMS: "wrong poses in alike rooms accepted"}
 
 
-def sets_table(decision: Report, _: Report) -> str:
+def sets_table(results: Report) -> str:
     """False accepts and recall of three rules on each set."""
     rules = {"svc": "`svc`", "overlap 0.3": "overlap 0.3", "svc_paper": "`svc_paper`"}
     rows = []
-    for name, num in decision["num_poses"].items():
-        told = [decision["decision"][name][rule] for rule in rules]
+    for name, num in results["decision"]["num_poses"].items():
+        told = [results["decision"]["decision"][name][rule] for rule in rules]
         poses = (f"`{name}`" if " " not in name else name, str(num))
         rows.append((*poses, *(str(t["num_false_accepted"]) for t in told), *(_share(t["recall"]) for t in told)))
     head = ("set", "poses", *(f"{what}, {rule}" for what in ("false accepts", "recall") for rule in rules.values()))
     return _table(head, rows)
 
 
-def covariance_table(decision: Report, _: Report) -> str:
+def covariance_table(results: Report) -> str:
     """Share of true errors within two sigma."""
     rows = [
         (f"`{name}`" if " " not in name else name, str(found["num_pairs"]), _share(found["within_2_sigma"]),
          _share(min(found["within_2_sigma_by_axis"].values())))
-        for name, found in decision["covariance"].items()
+        for name, found in results["decision"]["covariance"].items()
     ]  # fmt: skip
     return _table(("set", "pairs", "within 2 sigma, all six axes at once", "the worst single axis"), rows)
 
 
-def borders_table(_: Report, __: Report) -> str:
+def borders_table(_: Report) -> str:
     """Every value of the decision that is no weight, of each preset where they differ."""
     values = [
         {info.name: info for info in walk(preset(name))} for name in ("lidar_outdoor", "lidar_indoor", "rgbd_indoor")
@@ -193,40 +202,53 @@ def borders_table(_: Report, __: Report) -> str:
     return _table(("border", "value", "meaning"), rows)
 
 
-def rooms_accepted(decision: Report, _: Report) -> str:
+def rooms_accepted(results: Report) -> str:
     """How many pairs of rooms that look alike are accepted."""
-    found = decision["decision"][ROOMS]["svc"]
+    found = results["decision"]["decision"][ROOMS]["svc"]
     return f"{found['num_false_accepted']} of {found['num_wrong']}"
 
 
-def traffic_refused(decision: Report, _: Report) -> str:
+def traffic_refused(results: Report) -> str:
     """How many true poses in traffic are not accepted."""
-    found = decision["decision"][TRAFFIC]["svc"]
+    found = results["decision"]["decision"][TRAFFIC]["svc"]
     return f"{_refused(found)} of {found['num_correct']}"
 
 
-def pose_counts(decision: Report, _: Report) -> str:
+def pose_counts(results: Report) -> str:
     """How many labelled poses there are."""
-    recorded = {name: num for name, num in decision["num_poses"].items() if not name.startswith("simulated")}
-    simulated = sum(decision["num_poses"].values()) - sum(recorded.values())
+    recorded = {name: num for name, num in results["decision"]["num_poses"].items() if not name.startswith("simulated")}
+    simulated = sum(results["decision"]["num_poses"].values()) - sum(recorded.values())
     return f"{sum(recorded.values())} labelled poses of {len(recorded)} recorded sets and {simulated} simulated ones"
 
 
-def num_registered(_: Report, registration: Report) -> str:
+def times_table(results: Report) -> str:
+    """README: from raw points to the answer, beside other programs."""
+    rows = []
+    for told, (method, *variant) in TIMES.items():
+        found = results["latest"][method]
+        for key in variant:
+            found = found[key]
+        right = f"{round(found['recall'] * found['pairs'])} of {found['pairs']}"
+        ratio = f"{found['ratio_vs_kiss_matcher']:.2g}"
+        rows.append((told, f"{found['time_ms_p50']:.0f}", ratio, right))
+    return _table(("", "median [ms]", "against KISS-Matcher", "accepted and right"), rows)
+
+
+def num_registered(results: Report) -> str:
     """How many pairs the whole registrations are of."""
-    return f"{registration['registration'][ALL]['svc']['num_pairs']} pairs"
+    return f"{results['registration']['registration'][ALL]['svc']['num_pairs']} pairs"
 
 
-SECTIONS: dict[str, Callable[[Report, Report], str]] = {
+SECTIONS: dict[str, Callable[[Report], str]] = {
     "decision rules": rules_table, "left out": left_out_table, "whole registrations": registration_table,
     "by overlap": overlap_table, "weights": weights_table, "margins": margins_table, "parts": parts_table,
     "numbers": numbers_table, "by set": sets_table, "covariance": covariance_table, "borders": borders_table,
     "rooms accepted": rooms_accepted, "traffic refused": traffic_refused, "pose counts": pose_counts,
-    "num registered": num_registered,
+    "num registered": num_registered, "times": times_table,
 }  # fmt: skip
 
 
-def fill(text: str, decision: Report, registration: Report) -> str:
+def fill(text: str, results: Report) -> str:
     """The text with every section that it has written anew; ValueError where a mark is not closed."""
     for name, section in SECTIONS.items():
         begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
@@ -234,15 +256,15 @@ def fill(text: str, decision: Report, registration: Report) -> str:
             raise ValueError(f"expected as many {end} as {begin}, found {text.count(end)} and {text.count(begin)}")
         before, *parts = text.split(begin)
         for part in parts:
-            written = section(decision, registration)
+            written = section(results)
             block = f"\n{written}\n" if written.startswith("|") else written
             before += f"{begin}{block}{end}{part.partition(end)[2]}"
         text = before
     return text
 
 
-def _of_set(decision: Report, name: str, rule: str) -> str:
-    found = decision["decision"][name][rule]
+def _of_set(results: Report, name: str, rule: str) -> str:
+    found = results["decision"]["decision"][name][rule]
     if name == TRAFFIC:
         return f"{_refused(found)} of {found['num_correct']}"
     return f"{found['num_false_accepted']} of {found['num_wrong']}"
@@ -274,9 +296,9 @@ def _is_number(cell: str) -> bool:
     return cell.replace(" of ", "").replace(" to ", "").strip("+-.0123456789 ") == "" and "-" not in cell[1:2]
 
 
-def read_results(folder: Path) -> tuple[Report, Report]:
-    """decision.json and registration.json."""
-    return json.loads((folder / "decision.json").read_text()), json.loads((folder / "registration.json").read_text())
+def read_results(folder: Path) -> dict[str, Report]:
+    """The files that the tables are made of, by name."""
+    return {name: json.loads((folder / f"{name}.json").read_text("utf-8")) for name in MEASURED}
 
 
 def main(args: list[str] | None = None) -> int:
@@ -289,7 +311,7 @@ def main(args: list[str] | None = None) -> int:
         results = read_results(RESULTS)
         for page in PAGES:
             text = page.read_text(encoding="utf-8")
-            written = fill(text, *results)
+            written = fill(text, results)
             old += [page] if written != text else []
             if not options.check:
                 page.write_text(written, encoding="utf-8")

@@ -26,7 +26,7 @@ def results(tables):
 def test_the_pages_are_what_the_command_writes(tables, results):
     for page in tables.PAGES:
         text = page.read_text("utf-8")
-        assert tables.fill(text, *results) == text, f"{page.name} is out of date: python benchmarks/tables.py"
+        assert tables.fill(text, results) == text, f"{page.name} is out of date: python benchmarks/tables.py"
 
 
 def test_every_section_has_a_place(tables):
@@ -35,32 +35,42 @@ def test_every_section_has_a_place(tables):
 
 
 def test_changed_results_change_the_tables(tables, results):
-    decision, registration = copy.deepcopy(results)
+    changed = copy.deepcopy(results)
+    decision, registration = changed["decision"], changed["registration"]
     decision["decision"]["recorded sets"]["svc"]["num_false_accepted"] = 987
     decision["decision"]["simulated rooms"]["svc"]["num_false_accepted"] = 54
     registration["registration"]["all sets"]["svc"]["by_overlap"]["< 0.3"] = [33, 44]
-    written = tables.fill(PAGE.read_text("utf-8"), decision, registration)
+    written = tables.fill(PAGE.read_text("utf-8"), changed)
     assert "| nothing | 1.000 | 987 |" in written
     assert f"54 of {decision['decision']['simulated rooms']['svc']['num_wrong']}<!-- /rooms accepted -->" in written
     assert "| `svc` | 33 of 44 |" in written
-    assert tables.fill(written, *results) == PAGE.read_text("utf-8")
+    assert tables.fill(written, results) == PAGE.read_text("utf-8")
+
+
+def test_times_are_those_of_the_last_comparison(tables):
+    measured = {"time_ms_p50": 123.4, "ratio_vs_kiss_matcher": 0.456, "recall": 0.5, "pairs": 8}
+    latest = dict.fromkeys(("verify", "kiss_matcher", "open3d_ransac"), measured)
+    latest["register"] = {**measured, "reused": {**measured, "time_ms_p50": 99.6}}
+    table = tables.times_table({"latest": latest})
+    assert "| `register` | 123 | 0.46 | 4 of 8 |" in table
+    assert "| `register`, target described before | 100 |" in table
 
 
 def test_borders_are_those_of_the_presets(tables, results):
-    table = tables.borders_table(*results)
+    table = tables.borders_table(results)
     assert "| `decision.slip_m` | 2.4 / 0.9 |" in table
     assert not [name for name in tables.WEIGHTS if f"decision.{name}`" in table]
 
 
 def test_the_weights_of_the_page_are_those_of_the_stored_run(tables, results):
-    configured = results[0]["weights"]["configured"]
-    told = re.findall(r"^\| `decision\.(\w+)` \|[^|]+\| ([-\d.]+) \|", tables.weights_table(*results), re.MULTILINE)
+    configured = results["decision"]["weights"]["configured"]
+    told = re.findall(r"^\| `decision\.(\w+)` \|[^|]+\| ([-\d.]+) \|", tables.weights_table(results), re.MULTILINE)
     assert {name: float(value) for name, value in told} == configured
 
 
 def test_an_open_mark_is_refused(tables, results):
     with pytest.raises(ValueError, match="expected as many <!-- /margins -->"):
-        tables.fill("<!-- margins -->\n| a |", *results)
+        tables.fill("<!-- margins -->\n| a |", results)
 
 
 def test_out_of_date_pages_are_told(tables, results, tmp_path, monkeypatch, capsys):
