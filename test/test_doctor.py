@@ -5,6 +5,7 @@ from __future__ import annotations
 import builtins
 import ctypes
 import importlib
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -445,6 +446,18 @@ def test_bags_of_other_sensors(shared_data: Path, bag: str, wanted: str) -> None
     odd = [f.name for f in findings if f.level != "ok"]
     clock = ["/camera/depth_registered/points header and bag time"]
     assert odd == (clock if bag.startswith("depth") else [])
+
+
+def test_the_page_has_every_line_of_a_bag() -> None:
+    page = (PROJECT_ROOT / "docs" / "doctor.md").read_text("utf-8")
+    told = {name for row in re.findall(r"^\| (`.+?) \|", page, re.MULTILINE) for name in re.findall(r"`([^`]+)`", row)}
+    sources = [path.read_text("utf-8") for path in (PROJECT_ROOT / "svc_ros" / "cli").glob("bag_*.py")]
+    given = {
+        text.partition("{")[0].strip(" ,")
+        for source in sources
+        for text in re.findall(r'(?:Finding\(|_check_dropped\(|name(?:, spans)? = )f?"([^"{]+)', source)
+    }
+    assert given == told
 
 
 def test_the_checks_print_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
