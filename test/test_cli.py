@@ -507,6 +507,25 @@ def test_doctor_looks_at_a_bag(bag):
     assert "/points" in result.stderr
 
 
+def test_doctor_tries_a_preset_unless_told_not_to(bag):
+    tried = run("doctor", bag, "--json", "-")
+    names = [f["name"] for f in json.loads(tried.stdout)["findings"]]
+    assert any(name.startswith("/points registration, ") for name in names)
+    quick = run("doctor", bag, "--no-trial", "--json", "-")
+    assert not [f for f in json.loads(quick.stdout)["findings"] if "registration" in f["name"]]
+
+
+def test_doctor_fails_for_a_bag_that_cannot_be_used(tmp_path):
+    with CloudBagWriter(tmp_path / "bag") as writer:
+        for k in range(2):
+            points = 1000.0 * mini_data.scan_room(mini_data.POSES[k], seed=k)
+            writer.write_points(START_NS + k * 10**9, "lidar", points)
+    result = run("doctor", tmp_path / "bag")
+    assert result.exit_code == 2
+    assert "millimetres" in " ".join(result.stdout.split())
+    assert result.stderr.splitlines()[-1].endswith("checks failed: /points scale")
+
+
 def test_doctor_fails_where_something_needed_is_missing(monkeypatch):
     findings = [Finding("numba", "error", "not installed", "pip install numba"), Finding("scipy", "ok", "1.18")]
     monkeypatch.setattr("svc_ros.cli.doctor.check_installation", lambda: findings)
