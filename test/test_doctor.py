@@ -351,6 +351,23 @@ class TestFaults:
         assert there.level == "warn"
         assert "--sensor-frame" in there.advice
 
+    def test_a_named_sensor_frame_tells_where_the_sensor_stands(self, tmp_path: Path) -> None:
+        cloud = cloud_at(0, two_walls((-4.0, 15.0, 0)), frame="map")
+
+        def fill(recorder: Recorder) -> None:
+            recorder.transform("/tf_static", START, ("map", "lidar"), (-4.0, 15.0, 0, 0, 0, 0, 1))
+            recorder.write("/points", CLOUD, START, cloud.message())
+
+        bag = record(tmp_path / "bag", "mcap", fill)
+        blind, told = check_bag(bag), check_bag(bag, sensor_frame="lidar")
+        assert {f.name for f in blind if f.level != "ok"} == {"/points frame", "/points sensor at the origin"}
+        assert {f.level for f in told} == {"ok"}
+        assert "within 12." in named(told, "/points preset").found
+        wrong = named(check_bag(bag, sensor_frame="camera"), "/points sensor frame")
+        assert wrong.level == "error"
+        assert "unknown of 1 of 1 clouds" in wrong.found
+        assert "'camera'" in wrong.found
+
     def test_several_sensors_in_one_cloud(self, tmp_path: Path) -> None:
         both = np.vstack([sphere(20_000, 20.0), sphere(20_000, 5.0, seed=4) + np.array([4.0, 0.0, 0.0])])
         assert self.finding(tmp_path, "sensor at the origin", (0, cloud_at(0, both))).level == "warn"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 
 from svc_ros.cli.bag_clouds import check_clouds, suggest_preset
@@ -11,6 +12,7 @@ from svc_ros.cli.bag_stamps import check_stamps
 from svc_ros.cli.bag_trial import try_pairs
 from svc_ros.cli.finding import Finding, Level
 from svc_ros.core.errors import SvcError, TransformUnavailableError
+from svc_ros.core.scan import Array
 from svc_ros.io.bags import Bag, TopicInfo
 from svc_ros.io.transforms import TransformTree
 
@@ -28,10 +30,13 @@ _RAW_TYPES = {  # what carries scans, but not as points: the end of its type's n
 }
 
 
-def check_bag(path: str | Path, topic: str | None = None, trial: bool = False) -> list[Finding]:
+def check_bag(
+    path: str | Path, topic: str | None = None, trial: bool = False, sensor_frame: str | None = None
+) -> list[Finding]:
     """Look at a bag's topics and at every cloud of one topic (None: of all PointCloud2 topics).
 
-    trial: register a few neighbouring scans as well. Raises InputError for a bag that cannot be read and for a topic
+    trial: register a few neighbouring scans as well; sensor_frame: where the sensor stands, by the bag's transforms, if
+    not at the origin of the clouds' frame. Raises InputError for a bag that cannot be read and for a topic
     that it does not have.
     """
     with Bag(path) as bag:
@@ -41,7 +46,8 @@ def check_bag(path: str | Path, topic: str | None = None, trial: bool = False) -
             return [*findings, _no_clouds(bag.topics)]
         tree, problem = _transforms(bag)
         for name in names:
-            findings += _check_cloud_topic(name, take_notes(bag, name), tree, trial)
+            notes = take_notes(bag, name, partial(_sensor_origin, tree, sensor_frame))
+            findings += _check_cloud_topic(name, notes, tree, trial, sensor_frame)
     return [*findings, *problem]
 
 
@@ -67,32 +73,41 @@ def _check_topic(info: TopicInfo) -> Finding:
     return Finding(f"topic {info.name}", "warn", found, "nothing was recorded: was the publisher running?")
 
 
-def _check_cloud_topic(name: str, notes: CloudNotes, tree: TransformTree, trial: bool) -> list[Finding]:
+def _sensor_origin(tree: TransformTree, sensor_frame: str | None, cloud_frame: str, stamp_ns: int) -> Array | None:
+    return None if sensor_frame is None else tree.lookup(cloud_frame, sensor_frame, stamp_ns)[:3, 3]
+
+
+def _check_cloud_topic(
+    name: str, notes: CloudNotes, tree: TransformTree, trial: bool, sensor_frame: str | None
+) -> list[Finding]:
     if not notes.stamps_ns:
         return [Finding(name, "error", "no cloud recorded")]
     checks = [
         *check_clouds(notes),
         *check_stamps(notes.stamps_ns, notes.bag_times_ns),
-        *_check_frames(notes, tree),
+        *_check_frames(notes, tree, sensor_frame),
     ]
     if trial and not any(check.level == "error" for check in checks):
         checks += try_pairs(notes.pairs, suggest_preset(notes))
     return [Finding(f"{name} {check.name}", check.level, check.found, check.advice) for check in checks]
 
 
-def _check_frames(notes: CloudNotes, tree: TransformTree) -> list[Finding]:
+def _check_frames(notes: CloudNotes, tree: TransformTree, sensor_frame: str | None) -> list[Finding]:
     frames = list(notes.frames)
     if "" in frames:
         return [Finding("frame", "error", "frame_id is empty", "the driver must name the sensor's frame")]
     level: Level = "warn"
     if len(frames) > 1:
         advice = "one topic should carry one sensor: its sight lines start in one place"
-    elif frames[0].rpartition("/")[2] in _FIXED_FRAMES:
+    elif sensor_frame is None and frames[0].rpartition("/")[2] in _FIXED_FRAMES:
         advice = "a frame of the world, in which the sensor moves: name the sensor's by --sensor-frame or sensor_frame"
     else:
         level, advice = "ok", ""
-    found = Finding("frame", level, ", ".join(frames), advice)
-    return [found, *(_check_connection(frame, notes.stamps_ns, tree) for frame in frames)]
+    found = [Finding("frame", level, ", ".join(frames), advice)]
+    if notes.num_without_origin:
+        missing = f"unknown of {notes.num_without_origin} of {len(notes.stamps_ns)} clouds: {notes.no_origin}"
+        found.append(Finding("sensor frame", "error", missing, "name a frame that /tf and /tf_static connect"))
+    return [*found, *(_check_connection(frame, notes.stamps_ns, tree) for frame in frames)]
 
 
 def _check_connection(frame: str, stamps_ns: Sequence[int], tree: TransformTree) -> Finding:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from svc_ros.core.errors import InputError
+from svc_ros.core.errors import InputError, TransformUnavailableError
 from svc_ros.core.scan import Array
 from svc_ros.io.bags import Bag
 from svc_ros.io.point_cloud2 import CloudReading, scan_from_cloud
@@ -22,16 +22,18 @@ _FIELD_TYPES = {1: "int8", 2: "uint8", 3: "int16", 4: "uint16", 5: "int32", 6: "
 _CELL_DEG = 0.5
 _FEWEST_CELLS = 50  # with several points; fewer say nothing about all
 _NEAREST_M = 0.3  # nearer points have no direction worth the name
+FindOrigin = Callable[[str, int], Array | None]
 _BEHIND_RATIO, _BEHIND_M = 1.5, 1.0  # a point so much behind another one in its direction was seen through it
 
 
 @dataclass(frozen=True)
 class View:
-    """One cloud as seen from the origin of its frame.
+    """One cloud as seen by its sensor.
 
-    points: (N, 3) [m]; reach_m: 99th percentile of range; concentration: length of the mean viewing direction (0:
-    all around, 1: one way); crossed_share: of the directions that hold several points, those with one far behind
-    another; num_free: directions that are told to be free of any return; sweep_s: span of the points' times, or None.
+    points: (N, 3) [m], relative to the sensor; reach_m: 99th percentile of range; concentration: length of the mean
+    viewing direction (0: all around, 1: one way); crossed_share: of the directions that hold several points, those with
+    one far behind another; num_free: directions that are told to be free of any return; sweep_s: span of the points'
+    times, or None.
     """
 
     points: Array
@@ -55,12 +57,14 @@ class CloudNotes:
     num_nan: int = 0
     num_zero: int = 0
     num_repeated: int = 0
+    num_without_origin: int = 0
+    no_origin: str = ""  # why, of the first of them
     num_timed: int = 0
     time_fields: set[str] = field(default_factory=set)
     views: list[View] = field(default_factory=list)
     pairs: list[tuple[CloudReading, CloudReading]] = field(default_factory=list)
 
-    def add(self, bag_time_ns: int, message: Any) -> CloudReading | None:
+    def add(self, bag_time_ns: int, message: Any, find_origin: FindOrigin) -> CloudReading | None:
         """Take note of one message; the reading is None where it cannot be read."""
         self.layouts[_layout(message)] += 1
         self.frames[str(message.header.frame_id)] += 1
@@ -68,7 +72,7 @@ class CloudNotes:
         self.bag_times_ns.append(bag_time_ns)
         self.time_fields |= {str(f.name) for f in message.fields} & set(TIME_FIELDS)
         try:
-            reading = scan_from_cloud(message)
+            reading = scan_from_cloud(message, sensor_origin=self._origin(message, find_origin))
         except InputError as error:
             self.refused.append(str(error))
             return None
@@ -78,14 +82,26 @@ class CloudNotes:
         self.num_timed += reading.scan.point_times_s is not None
         return reading
 
+    def _origin(self, message: Any, find_origin: FindOrigin) -> Array | None:
+        try:
+            return find_origin(str(message.header.frame_id), ns_from_stamp(message.header.stamp))
+        except TransformUnavailableError as error:
+            self.num_without_origin += 1
+            self.no_origin = self.no_origin or str(error)
+            return None
 
-def take_notes(bag: Bag, topic: str) -> CloudNotes:
-    """Go through all clouds of a topic once."""
+
+def take_notes(bag: Bag, topic: str, find_origin: FindOrigin) -> CloudNotes:
+    """Go through all clouds of a topic once.
+
+    find_origin: from a cloud's frame and stamp [ns] to where its sensor stands in that frame, (3,) [m]; None: at its
+    origin, as for clouds of which it raises TransformUnavailableError.
+    """
     notes, previous = CloudNotes(), None
     num = bag.num_scans(topic)
     every, firsts = max(1, num // SAMPLED), set(_first_of_pairs(num))
     for k, (bag_time_ns, message) in enumerate(bag.raw_clouds(topic)):
-        reading = notes.add(bag_time_ns, message)
+        reading = notes.add(bag_time_ns, message, find_origin)
         if reading is not None and previous is not None:
             notes.num_repeated += _same_points(previous, reading)
             if k - 1 in firsts:
@@ -113,12 +129,13 @@ def _layout(message: Any) -> str:
 
 def _view(reading: CloudReading) -> View:
     scan = reading.scan
-    ranges = np.linalg.norm(scan.points, axis=1)
-    directions = scan.points[ranges > 0] / ranges[ranges > 0, None]
+    points = scan.points - scan.sensor_origin
+    ranges = np.linalg.norm(points, axis=1)
+    directions = points[ranges > 0] / ranges[ranges > 0, None]
     times, free = scan.point_times_s, scan.free_directions
     return View(
-        scan.points, float(np.quantile(ranges, 0.99)),
-        float(np.linalg.norm(directions.mean(0))) if len(directions) else 0.0, crossed_share(scan.points),
+        points, float(np.quantile(ranges, 0.99)),
+        float(np.linalg.norm(directions.mean(0))) if len(directions) else 0.0, crossed_share(points),
         0 if free is None else len(free), None if times is None or not len(times) else float(np.ptp(times)),
     )  # fmt: skip
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from svc_ros.cli.finding import Finding
+from svc_ros.core import se3
 from svc_ros.core.config import preset
 from svc_ros.core.result import RegistrationResult
 from svc_ros.core.se3 import pose_error
@@ -72,7 +73,9 @@ def _smear(first: CloudReading, second: CloudReading, result: RegistrationResult
     step_s = (second.scan.stamp_ns - first.scan.stamp_ns) / 1e9
     if step_s <= 0 or result.T_target_source is None:
         return None
-    angle_deg, distance_m = pose_error(result.T_target_source, np.eye(4))
+    angle_deg, _ = pose_error(result.T_target_source, np.eye(4))
+    way = se3.apply(result.T_target_source, second.scan.sensor_origin[None])[0] - first.scan.sensor_origin
+    distance_m = float(np.linalg.norm(way))
     times = second.scan.point_times_s
     sweep_s = float(np.ptp(times)) if times is not None and len(times) else min(step_s, _SWEEP_S)
     speed, turn = distance_m / step_s, angle_deg / step_s

@@ -24,21 +24,31 @@ TrialOption = Annotated[
     bool, typer.Option("--trial/--no-trial", help="Register up to three pairs of neighbouring scans of the bag.")
 ]
 
+SensorOption = Annotated[
+    str | None,
+    typer.Option("--sensor-frame", metavar="FRAME", help="Sensor's frame, where the clouds are in another one."),
+]
+
 
 def doctor(
-    bag: BagArgument = None, topic: TopicOption = None, trial: TrialOption = True, json_target: JsonOption = None
+    bag: BagArgument = None,
+    topic: TopicOption = None,
+    sensor_frame: SensorOption = None,
+    trial: TrialOption = True,
+    json_target: JsonOption = None,
 ) -> None:
     """Say what is installed and missing, or what is odd about a bag, which preset fits, and what to do.
 
     Exits with 2 on errors: what keeps every cloud from being used. Warnings leave the exit code at 0.
     """
-    if topic is not None and bag is None:
-        raise typer.BadParameter("--topic belongs to a BAG")
+    for option, value in (("--topic", topic), ("--sensor-frame", sensor_frame)):
+        if value is not None and bag is None:
+            raise typer.BadParameter(f"{option} belongs to a BAG")
     check_json_target(json_target)
     with working("looking"):
         from svc_ros.cli.doctor import check_bag, check_installation
 
-        findings = check_installation() if bag is None else check_bag(bag, topic, trial)
+        findings = check_installation() if bag is None else check_bag(bag, topic, trial, sensor_frame)
     num_errors = sum(finding.level == "error" for finding in findings)
     write_json({"num_errors": num_errors, "findings": [dataclasses.asdict(f) for f in findings]}, json_target)
     summary_console(json_target).print(_findings_table(str(bag or "this machine"), findings))
