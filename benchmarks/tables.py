@@ -53,7 +53,7 @@ METHODS = {  # as registration.py names them -> as the pages do
     "KISS-Matcher": "KISS-Matcher, as it says itself",
 }
 WEIGHTS = {  # of DecisionConfig -> the number that it weighs
-    "free_offset": "offset (fitted, less 0.6)",
+    "free_offset": "offset",
     "blocked_weight": "- log of blocked share over oriented overlap, the worse scan's",
     "scattered_weight": "- log of the same outside the one or two most blocked sectors",
     "contradicted_weight": "- log of the blocked share of the lines that meet unmatched surface",

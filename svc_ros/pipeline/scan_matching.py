@@ -102,6 +102,7 @@ class ScanMatcher:
         yield from self._judged(self._turned(motion, this), this, current, "turn")
         for target in self._recovery_targets(this):
             result = register_pair(this.features, target.features, self._config)
+            result = demand(result, self._config.scan_matching.min_recovery_probability)
             yield _Attempt(self._trusted(result, target), target, "registration", (this.scan, target.scan))
 
     def _judged(self, motion: Motion, this: Keyframe, current: Keyframe, origin: str) -> Iterator[_Attempt]:
