@@ -27,8 +27,11 @@ RUN = {
 
 @pytest.fixture(autouse=True)
 def scripts(monkeypatch):
-    """The scripts import each other from their own folder."""
+    """The scripts import each other from their own folder, and do not repeat calls for exact times."""
     monkeypatch.syspath_prepend(str(FOLDER))
+    import _timing
+
+    monkeypatch.setattr(_timing, "_SHORT_MS", 2.0)
 
 
 @pytest.fixture(scope="module")
