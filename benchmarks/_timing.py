@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-_SHORT_MS = 200.0  # calls shorter than this are repeated inside one turn, as timeit does: times with warm caches
+_SHORT_MS = 20.0  # calls shorter than this are repeated inside one turn
 Name = TypeVar("Name")
 
 
