@@ -17,7 +17,6 @@ from svc_ros.evaluation.metrics import roc_auc
 OFFSET = "free_offset"
 WEIGHTS = ("blocked_weight", "scattered_weight", "contradicted_weight", "tight_weight")
 FIELDS = (OFFSET, *WEIGHTS)
-CAUTION = 0.0  # less log odds than fitted
 _SIGNS = np.array([-1.0, -1.0, -1.0, 1.0])  # what is blocked speaks against a pose, tight contact for it
 Weights = dict[str, float]
 
@@ -53,7 +52,7 @@ def fit_weights(rows: Sequence[Row], configs: Configs, without: str | None = Non
     model = fit_logistic(numbers[:, used], correct, weigh_groups(rows), never_negative=True)
     fitted = dict.fromkeys(FIELDS, 0.0)
     fitted |= {WEIGHTS[k]: round(float(weight), 2) for k, weight in zip(used, model.weights, strict=True)}
-    return fitted | {OFFSET: round(model.offset - CAUTION, 1)}
+    return fitted | {OFFSET: round(model.offset, 1)}
 
 
 def weigh_groups(rows: Sequence[Row]) -> Array:
@@ -113,6 +112,6 @@ def compare_weights(rows: Sequence[Row], configs: Configs) -> dict[str, Any]:
         for name in sets_of(rows)
     }
     return {
-        "configured": configured, "fitted_to_all": fit_weights(rows, configs), "caution": CAUTION,
+        "configured": configured, "fitted_to_all": fit_weights(rows, configs),
         "num_right_and_wrong": counts, "leave_one_set_out": tests,
     }  # fmt: skip

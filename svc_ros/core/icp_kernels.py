@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from svc_ros.core.nearest_kernels import find_nearest
+from svc_ros.core.placement_kernels import move
 
 _jit = njit(nogil=True, cache=True, error_model="numpy")
 
@@ -25,7 +26,7 @@ def align(T, source, normals, target, radius, grid, rounds):  # type: ignore[no-
     system, step, moved = np.empty((6, 7)), np.empty(6), np.empty((4, 4))
     damping = _FIRST_DAMPING
     for done in range(rounds):
-        _place(T, source, placed)
+        move(T, source, placed)
         find_nearest(placed, radius, shape, low, first, starts, blocks, names, nearest)
         error = _sum_up(placed, nearest, target, normals, system)
         better = False
@@ -44,14 +45,6 @@ def align(T, source, normals, target, radius, grid, rounds):  # type: ignore[no-
         if _length(step[:3]) <= _SMALL_SHIFT * radius and _length(step[3:]) <= _SMALL_TURN * radius:
             return done + 1
     return rounds
-
-
-@_jit
-def _place(T, points, placed):  # type: ignore[no-untyped-def]
-    for m in range(points.shape[0]):
-        x, y, z = points[m, 0], points[m, 1], points[m, 2]
-        for k in range(3):
-            placed[m, k] = T[k, 0] * x + T[k, 1] * y + T[k, 2] * z + T[k, 3]
 
 
 @_jit

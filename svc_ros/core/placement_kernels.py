@@ -16,13 +16,21 @@ _AT_ONCE = 256
 
 
 @_jit
-def place(T, points, normals, placed, turned):  # type: ignore[no-untyped-def]
-    """placed, turned (M, 3): points and normals (M, 3) as the pose T (4, 4) moves them."""
+def move(T, points, placed):  # type: ignore[no-untyped-def]
+    """placed (M, 3): points (M, 3) as the pose T (4, 4) moves them."""
     for m in range(points.shape[0]):
         x, y, z = points[m, 0], points[m, 1], points[m, 2]
-        a, b, c = normals[m, 0], normals[m, 1], normals[m, 2]
         for k in range(3):
             placed[m, k] = T[k, 0] * x + T[k, 1] * y + T[k, 2] * z + T[k, 3]
+
+
+@_jit
+def place(T, points, normals, placed, turned):  # type: ignore[no-untyped-def]
+    """placed, turned (M, 3): points and normals (M, 3) as the pose T (4, 4) moves them."""
+    move(T, points, placed)
+    for m in range(points.shape[0]):
+        a, b, c = normals[m, 0], normals[m, 1], normals[m, 2]
+        for k in range(3):
             turned[m, k] = T[k, 0] * a + T[k, 1] * b + T[k, 2] * c
 
 

@@ -37,7 +37,7 @@ def register(
     descriptors) take the place of FPFH matching. No alignment is a verdict, never an exception; broken input raises
     an InputError (TooFewPointsError for a scan without enough points).
     """
-    pair = _prepared_pair(source, target, config, Stopwatch())
+    pair = _prepared_pair(source, target, config)
     if correspondences is not None:
         return _answer(pair, correspondences)
     # Describe every point.
@@ -76,13 +76,14 @@ def verify(
 ) -> RegistrationResult:
     """Judge a pose that somebody else found. It is refined first, within bounds; raises InputError if it is no pose."""
     T = nearest_pose(check_pose(T_target_source))
-    return selection.VERIFIERS[config.method](_prepared_pair(source, target, config, Stopwatch()), T)
+    return selection.VERIFIERS[config.method](_prepared_pair(source, target, config), T)
 
 
 def _prepared_pair(
-    source: Scan | PreparedScan | Features, target: Scan | PreparedScan | Features, config: Config, watch: Stopwatch
+    source: Scan | PreparedScan | Features, target: Scan | PreparedScan | Features, config: Config
 ) -> Pair:
-    """Thin the scans and turn their normals to the sensor, unless that was done before."""
+    """Thin the scans and turn their normals to the sensor, unless that was done before; its time begins here."""
+    watch = Stopwatch()
     with watch.stage("prepare"):
         source_scan, target_scan = on_all_processors(lambda scan: _prepared(scan, config), (source, target))
     counts = {"source_points": len(source_scan), "target_points": len(target_scan)}
