@@ -23,6 +23,7 @@ OURS, TWIN, PAPER, PAPER_TWIN = "svc_ros", "cKDTree", "paper, svc_ros", "paper, 
 DENSE = "dense numpy"
 Look = tuple[SightLines, Array]
 _ROUNDED = 5e-4
+_CALLS = 10  # of every check in its turn, whatever its size
 
 
 class DisagreementError(RuntimeError):
@@ -32,7 +33,7 @@ class DisagreementError(RuntimeError):
 def look_one_way(observer: PreparedScan, other: PreparedScan, T_observer_other: Array, config: SightViewConfig) -> Look:
     """One sight-view check in one direction: the blocked lines, and how much of the other scan agrees."""
     placement = place(observer, other, T_observer_other, config)
-    return find_blocked(observer, placement, config), placement.shares()
+    return find_blocked(observer, placement, config), np.array(placement.shares())
 
 
 def compare_checks(cases: Sequence[Case], numbers: Sequence[int], check_at: int, rounds: int) -> dict[str, Any]:
@@ -45,7 +46,7 @@ def compare_checks(cases: Sequence[Case], numbers: Sequence[int], check_at: int,
         pairs = {num: thin_pair(case, num) for num in sorted({*numbers, check_at})}
         for pose, T in (("right pose", case.T_target_source), ("wrong pose", case.wrong_pose)):
             jobs = {(num, name): job for num, pair in pairs.items() for name, job in check_jobs(pair, T).items()}
-            curves[f"{case.name}, {pose}"] = _curves(medians(time_in_turns(jobs, rounds)), numbers, check_at)
+            curves[f"{case.name}, {pose}"] = _curves(medians(time_in_turns(jobs, rounds, _CALLS)), numbers, check_at)
     at = {name: [curve["at"][name] for curve in curves.values()] for name in (OURS, TWIN, PAPER, PAPER_TWIN)}
     return {
         "speedup_vs_kdtree_10k": sum(at[TWIN]) / sum(at[OURS]),

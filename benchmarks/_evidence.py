@@ -155,8 +155,7 @@ def _may_be_accepted(evidence: SightViewEvidence, config: DecisionConfig) -> boo
 
 def _contact(pair: selection.Pair, T: Array, reference: Array) -> Contact:
     contact = pair.contact(T)
-    variance = float(np.mean(np.square(contact.residuals))) if len(contact.residuals) else 1.0
-    return Contact(contact.information(), variance, pose_difference(T, reference))
+    return Contact(contact.information, contact.variance_m2, pose_difference(T, reference))
 
 
 def pose_difference(T: Array, reference: Array) -> Array:

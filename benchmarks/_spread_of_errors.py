@@ -22,19 +22,7 @@ _CANDIDATES = np.geomspace(1.0, 1e4, 161)
 
 def covariance_of(contact: Contact, config: CovarianceConfig) -> Array:
     """The covariance (6, 6) that an accepted pose gets, from what was kept of its contact."""
-    root = np.linalg.cholesky(contact.information + 1e-9 * np.eye(6)).T
-    kept = _KeptContact(np.zeros((1, 3)), np.zeros((1, 3)), np.full(1, np.sqrt(contact.variance)), root)
-    return kept.covariance(config)
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _KeptContact(SurfaceContact):
-    """A contact of which only the information's root (6, 6) and the residuals' size are left."""
-
-    root: Array
-
-    def information(self) -> Array:
-        return np.asarray(self.root.T @ self.root)
+    return SurfaceContact(contact.information, 1, contact.variance).covariance(config)
 
 
 def measure(rows: Sequence[Row], config: CovarianceConfig) -> dict[str, Any] | None:

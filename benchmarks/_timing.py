@@ -12,15 +12,19 @@ _SHORT_MS = 20.0  # calls shorter than this are repeated inside one turn
 Name = TypeVar("Name")
 
 
-def time_in_turns(jobs: Mapping[Name, Callable[[], Any]], rounds: int) -> dict[Name, list[float]]:
+def time_in_turns(
+    jobs: Mapping[Name, Callable[[], Any]], rounds: int, calls: int | None = None
+) -> dict[Name, list[float]]:
     """Milliseconds a call of each job, one value a round.
 
     All jobs take turns, so that a slow minute of the machine hits all of them; each round begins with another one.
-    Every job is called twice beforehand.
+    Every job is called twice beforehand. calls: of each job in its turn; without it, short ones are repeated for a
+    while. Where times of different lengths are set beside each other it should be given: then the first call, which
+    finds little in the processor's caches, weighs the same in all of them.
     """
     for job in jobs.values():
         job()
-    repeats = {name: max(1, int(_SHORT_MS / max(_time_ms(job, 1), 1e-3))) for name, job in jobs.items()}
+    repeats = {name: calls or max(1, int(_SHORT_MS / max(_time_ms(job, 1), 1e-3))) for name, job in jobs.items()}
     names = list(jobs)
     times: dict[Name, list[float]] = {name: [] for name in names}
     for k in range(rounds):

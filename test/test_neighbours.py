@@ -72,7 +72,7 @@ def cells_by_hand(points: np.ndarray, rows: int, columns: int) -> np.ndarray:
     row = np.clip(np.floor((z / np.linalg.norm(points, axis=1) / 2 + 0.5) * rows), 0, rows - 1)
     part = np.divide(aside, ahead + aside, out=np.zeros(len(points)), where=ahead + aside > 0)
     column = np.clip(np.floor((quarter + part) / 4 * columns), 0, columns - 1)
-    return (row * columns + column).astype(np.int64)
+    return (column * rows + row).astype(np.int64)
 
 
 def test_direction_grid_holds_every_point_in_its_cell():
@@ -83,10 +83,10 @@ def test_direction_grid_holds_every_point_in_its_cell():
     grid = DirectionGrid.build(points, normals)
     assert sorted(grid.order) == list(range(len(points)))
     np.testing.assert_array_equal(grid.lines[:, :3], points[grid.order])
-    np.testing.assert_array_equal(grid.lines[:, 4:7], normals[grid.order])
+    np.testing.assert_array_equal(grid.surfaces[:, :3], normals[grid.order])
     np.testing.assert_allclose(grid.lines[:, 3], np.linalg.norm(grid.lines[:, :3], axis=1))
-    incidence = np.arccos(np.abs(np.einsum("ij,ij->i", grid.lines[:, :3], grid.lines[:, 4:7]) / grid.lines[:, 3]))
-    np.testing.assert_allclose(grid.lines[:, 7], np.tan(incidence), rtol=1e-6)
+    incidence = np.arccos(np.abs(np.einsum("ij,ij->i", grid.lines[:, :3], grid.surfaces[:, :3]) / grid.lines[:, 3]))
+    np.testing.assert_allclose(grid.surfaces[:, 3], np.tan(incidence), rtol=1e-6)
     cells = np.repeat(np.arange(grid.rows * grid.columns), np.diff(grid.cell_starts))
     np.testing.assert_array_equal(cells, cells_by_hand(grid.lines[:, :3], grid.rows, grid.columns))
 

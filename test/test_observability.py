@@ -11,15 +11,28 @@ from scipy.spatial.transform import Rotation
 from svc_ros.core import se3
 from svc_ros.core.config import CovarianceConfig, SightViewConfig
 from svc_ros.core.observability import SurfaceContact, find_contact, shift
+from svc_ros.core.placement import place
 from svc_ros.core.preprocess import preprocess
+from svc_ros.core.scan import PreparedScan
 
 CONFIG = CovarianceConfig()
 POSE = se3.make_pose(Rotation.from_euler("zyx", [20, 3, -2], degrees=True).as_matrix(), (1.0, -0.5, 0.2))
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
-def contact_on(walls: dict[str, int], seed: int = 0, noise_m: float = 0.02) -> SurfaceContact:
-    """Random points on planes; walls: how many points lie on the planes across each axis, half of them either side."""
+def contact_of(points: np.ndarray, normals: np.ndarray, residuals: np.ndarray) -> SurfaceContact:
+    """The contact with these constraints, summed up one by one."""
+    rows = [np.concatenate((n, np.cross(p, n))) for p, n in zip(points, normals, strict=True)]
+    information = sum((np.outer(row, row) for row in rows), np.zeros((6, 6)))
+    return SurfaceContact(information, len(rows), float(np.square(residuals).sum()))
+
+
+def contact_between(source: PreparedScan, target: PreparedScan, T, config: SightViewConfig) -> SurfaceContact:
+    return find_contact(target, place(target, source, T, config), config)
+
+
+def constraints_on(walls: dict[str, int], seed: int = 0, noise_m: float = 0.02) -> tuple[np.ndarray, ...]:
+    """Points, normals and residuals at random on planes across each axis, half of them either side; walls: how many."""
     rng = np.random.default_rng(seed)
     points, normals = [], []
     for name, num in walls.items():
@@ -28,7 +41,11 @@ def contact_on(walls: dict[str, int], seed: int = 0, noise_m: float = 0.02) -> S
         points.append(spread - np.outer(spread @ axis, axis) + np.outer(4.0 * side, axis))
         normals.append(-np.outer(side, axis))
     count = sum(walls.values())
-    return SurfaceContact(np.concatenate(points), np.concatenate(normals), rng.normal(scale=noise_m, size=count))
+    return np.concatenate(points), np.concatenate(normals), rng.normal(scale=noise_m, size=count)
+
+
+def contact_on(walls: dict[str, int], seed: int = 0, noise_m: float = 0.02) -> SurfaceContact:
+    return contact_of(*constraints_on(walls, seed, noise_m))
 
 
 def corridor(num_end: int, seed: int = 0) -> SurfaceContact:
@@ -50,13 +67,14 @@ def brute_force_contact(source, target, T, config) -> list[tuple[np.ndarray, np.
 
 
 def check_contact(source, target, T, config) -> int:
-    contact, expected = find_contact(source, target, T, config), brute_force_contact(source, target, T, config)
-    assert len(contact.points) == len(contact.normals) == len(contact.residuals) == len(expected)
-    points, planes, residuals = zip(*expected, strict=True)
-    np.testing.assert_allclose(contact.points, points, atol=1e-9)
-    np.testing.assert_array_equal(contact.normals, planes)
-    np.testing.assert_allclose(contact.residuals, residuals, atol=1e-9)
-    return len(expected)
+    contact, found = contact_between(source, target, T, config), brute_force_contact(source, target, T, config)
+    expected = contact_of(*map(np.array, zip(*found, strict=True)))
+    assert contact.num_points == expected.num_points
+    np.testing.assert_allclose(
+        contact.information, expected.information, rtol=1e-9, atol=1e-9 * np.abs(expected.information).max()
+    )
+    assert contact.sum_squared_m2 == pytest.approx(expected.sum_squared_m2, rel=1e-9)
+    return len(found)
 
 
 @pytest.mark.parametrize("tolerance", [0.4, 1.5])
@@ -75,10 +93,10 @@ def test_contact_of_real_scans_equals_all_pairs(shared_data):
 def test_surfaces_that_face_away_or_lie_apart_are_no_contact():
     scan = random_scan(500, 1)
     inside_out = prepared(scan.points, -scan.normals)
-    assert len(find_contact(scan, scan, np.eye(4), SightViewConfig()).points) == 500
+    assert contact_between(scan, scan, np.eye(4), SightViewConfig()).num_points == 500
     for other, T in ((inside_out, np.eye(4)), (scan, shift(np.eye(4), np.array([0.0, 0.0, 1.0]), 300.0))):
-        nothing = find_contact(other, scan, T, SightViewConfig())
-        assert len(nothing.points) == 0
+        nothing = contact_between(other, scan, T, SightViewConfig())
+        assert nothing.num_points == 0
         assert nothing.weakest_direction()[1] == 0.0
         assert np.isfinite(nothing.covariance(CONFIG)).all()
 
@@ -89,16 +107,17 @@ def test_information_is_the_curvature_of_the_squared_residuals(seed):
     rng = np.random.default_rng(seed)
     normals = rng.normal(size=(60, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    contact = SurfaceContact(rng.normal(size=(60, 3)) * 5, normals, np.zeros(60))
+    points = rng.normal(size=(60, 3)) * 5
+    contact = contact_of(points, normals, np.zeros(60))
 
     def cost(step: np.ndarray) -> float:
-        moved = Rotation.from_rotvec(step[3:]).apply(contact.points) + step[:3]
-        return 0.5 * float(np.square(np.einsum("ij,ij->i", contact.normals, moved - contact.points)).sum())
+        moved = Rotation.from_rotvec(step[3:]).apply(points) + step[:3]
+        return 0.5 * float(np.square(np.einsum("ij,ij->i", normals, moved - points)).sum())
 
     size = 1e-4
     steps = size * np.eye(6)
     expected = np.array([[cost(a + b) - cost(a - b) for b in steps] for a in steps]) / (2 * size * size)
-    np.testing.assert_allclose(contact.information(), expected, rtol=1e-4, atol=1e-3 * np.abs(expected).max())
+    np.testing.assert_allclose(contact.information, expected, rtol=1e-4, atol=1e-3 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -106,7 +125,7 @@ def test_the_weakest_direction_is_the_weakest_of_all_directions(seed):
     rng = np.random.default_rng(seed)
     normals = rng.normal(size=(300, 3)) * rng.uniform(0.05, 1.0, 3) @ Rotation.random(random_state=seed).as_matrix()
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    direction, strength = SurfaceContact(normals, normals, np.zeros(300)).weakest_direction()
+    direction, strength = contact_of(normals, normals, np.zeros(300)).weakest_direction()
     sphere = rng.normal(size=(50_000, 3))
     sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
     resistance = np.square(normals @ sphere.T).mean(0)
@@ -164,8 +183,9 @@ def test_the_covariance_grows_with_noise_and_shrinks_with_surface():
 
 
 def test_a_turned_world_has_the_turned_covariance():
-    contact, R = corridor(50), Rotation.random(random_state=3).as_matrix()
-    turned = SurfaceContact(contact.points @ R.T, contact.normals @ R.T, contact.residuals)
+    points, normals, residuals = constraints_on({"y": 1000, "z": 1000, "x": 50})
+    R = Rotation.random(random_state=3).as_matrix()
+    contact, turned = contact_of(points, normals, residuals), contact_of(points @ R.T, normals @ R.T, residuals)
     both = np.kron(np.eye(2), R)
     np.testing.assert_allclose(turned.covariance(CONFIG), both @ contact.covariance(CONFIG) @ both.T, atol=1e-9)
 

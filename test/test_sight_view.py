@@ -12,7 +12,7 @@ from svc_ros.core import paper_rule, se3
 from svc_ros.core.config import PaperConfig, SightViewConfig
 from svc_ros.core.preprocess import preprocess
 from svc_ros.core.scan import PreparedScan
-from svc_ros.core.sight_view import azimuth_sectors, cone_half_angle_deg, count_scattered, gather_evidence
+from svc_ros.core.sight_view import cone_half_angle_deg, count_scattered, find_sectors, gather_evidence
 
 
 def fixed_cone(half_angle_deg: float, tolerance: float, radius: float, incidence_deg: float) -> SightViewConfig:
@@ -214,16 +214,21 @@ def all_around(per_sector: list[int], sector_deg: float = 10.0) -> tuple[np.ndar
     return points, np.concatenate(blocked).astype(np.int64)
 
 
+def scattered(points: np.ndarray, blocked: np.ndarray, config: SightViewConfig) -> int:
+    sectors = find_sectors(points, config)
+    return count_scattered(np.bincount(sectors.of_line[blocked]).tolist(), sectors, config)
+
+
 def test_scattered_lines_are_those_outside_the_most_blocked_sectors():
     config = SightViewConfig(sector_deg=10.0, forgiven_sectors=2)
     rng = np.random.default_rng(0)
     for _ in range(20):
         per_sector = rng.integers(0, 60, 36).tolist()
         points, blocked = all_around(per_sector)
-        assert count_scattered(azimuth_sectors(points, config), blocked, config) == sum(sorted(per_sector)[:-2])
+        assert scattered(points, blocked, config) == sum(sorted(per_sector)[:-2])
     for counts in ([0] * 10 + [80, 70], [0] * 36):
         points, blocked = all_around(counts)
-        assert count_scattered(azimuth_sectors(points, config), blocked, config) == 0
+        assert scattered(points, blocked, config) == 0
 
 
 def test_of_a_narrow_view_little_is_forgiven():
@@ -231,8 +236,7 @@ def test_of_a_narrow_view_little_is_forgiven():
     config = SightViewConfig(sector_deg=10.0, forgiven_sectors=2)
     points, blocked = all_around([50, 40, 30])
     for num_sectors, forgiven in ((6, 0), (8, 1), (15, 1), (16, 2), (36, 2)):
-        seen = points[: 100 * num_sectors]
-        assert count_scattered(azimuth_sectors(seen, config), blocked, config) == [120, 70, 30][forgiven]
+        assert scattered(points[: 100 * num_sectors], blocked, config) == [120, 70, 30][forgiven]
 
 
 def test_nothing_is_scattered_beyond_what_is_blocked():

@@ -30,10 +30,10 @@ def count_free_blocked(observer: PreparedScan, placement: Placement, config: Sig
     limits = np.array(
         [radius, sine, nearest_m, config.free_reach_m, np.tan(np.radians(config.max_incidence_deg))]
     )  # fmt: skip
-    met = np.zeros(len(observer.free_directions), bool)
+    met = np.zeros(len(grid.order), bool)
     sight_kernels.find_free_blocked(
-        placement.alone, placement.alone_normals, observer.sensor_origin, limits,
-        grid.lines, grid.order, grid.cell_starts, grid.rows, grid.columns, met,
+        placement.T_observer_other, placement.other.points, placement.other.normals, placement.nearest,
+        observer.sensor_origin, limits, grid.tables, met,
     )  # fmt: skip
     return int(met.sum())
 

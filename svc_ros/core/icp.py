@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 import small_gicp
 
-from svc_ros.core import icp_kernels, se3
+from svc_ros.core import icp_kernels
 from svc_ros.core.config import Config
 from svc_ros.core.neighbours import NearestGrid, nearest_grid
-from svc_ros.core.parallel import num_processors
+from svc_ros.core.parallel import num_processors, on_all_processors
 from svc_ros.core.prescore import thin_evenly
 from svc_ros.core.scan import Array, PreparedScan
 
@@ -56,9 +56,9 @@ def refine_roughly(T: Array, source: PreparedScan, target: PreparedScan, config:
 def index(target: PreparedScan, config: Config) -> None:
     """Build what ICP onto a scan needs; it does so itself, but several at once would each build their own."""
     limits = config.shortlist
-    for distance_m in (limits.rough_icp_distance_m, limits.icp_distance_m):
-        _grid(target, distance_m, config)
-        _grid(target, 0.5 * distance_m, config)
+    distances_m = [s * d for d in (limits.rough_icp_distance_m, limits.icp_distance_m) for s in (1.0, 0.5, 0.25)]
+    radii_m = {_reach_m(distance_m, config) for distance_m in distances_m}
+    on_all_processors(lambda radius_m: nearest_grid(target, radius_m), sorted(radii_m, reverse=True))
     _planes(target)
 
 
@@ -67,11 +67,15 @@ def _align(T: Array, points: Array, target: PreparedScan, search: _Search) -> Ar
     icp_kernels.align(
         moved, points, _planes(target), target.points, search.distance_m, search.grid.tables, search.rounds
     )  # fmt: skip
-    return se3.nearest_pose(moved)
+    return moved
 
 
 def _few_points(scan: PreparedScan, num_points: int) -> Array:
-    return scan.points[thin_evenly(len(scan), num_points)]
+    key = ("few_points", num_points)
+    if key not in scan.memo:
+        scan.memo[key] = scan.points[thin_evenly(len(scan), num_points)]
+    points: Array = scan.memo[key]
+    return points
 
 
 def _planes(target: PreparedScan) -> Array:
@@ -89,6 +93,11 @@ def _planes(target: PreparedScan) -> Array:
 
 
 def _grid(target: PreparedScan, distance_m: float, config: Config) -> NearestGrid:
-    """A grid that reaches so far, one that is needed anyway if there is."""
-    radii = (config.sight_view.tolerance_m, config.shortlist.rough_icp_distance_m)
-    return nearest_grid(target, min((radius for radius in radii if radius >= distance_m), default=distance_m))
+    return nearest_grid(target, _reach_m(distance_m, config))
+
+
+def _reach_m(distance_m: float, config: Config) -> float:
+    """Radius of the grid in which the nearest points so far away are looked for: one that is needed anyway, if any."""
+    limits = config.shortlist
+    needed = (config.sight_view.tolerance_m, limits.rough_icp_distance_m)
+    return min((radius for radius in needed if radius >= distance_m), default=distance_m)

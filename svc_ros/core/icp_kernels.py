@@ -6,9 +6,11 @@ import numpy as np
 from numba import njit
 
 from svc_ros.core.nearest_kernels import find_nearest
-from svc_ros.core.placement_kernels import move
+from svc_ros.core.placement_kernels import AT_ONCE, move
+from svc_ros.core.plane_kernels import fill_rows, sum_up
 
 _jit = njit(nogil=True, cache=True, error_model="numpy")
+_sum_jit = njit(nogil=True, cache=True, error_model="numpy", fastmath={"reassoc", "nsz"})  # several at once
 
 _FIRST_DAMPING, _DAMPING_FACTOR, _TRIALS = 1e-3, 10.0, 10
 _SMALL_SHIFT, _SMALL_TURN = 2e-3, 4e-4  # a step of less [m], [rad] a metre of the radius ends the search
@@ -21,20 +23,22 @@ def align(T, source, normals, target, radius, grid, rounds):  # type: ignore[no-
     Least squares of n . (p - q) over source points p (M, 3), placed by T, and the target points q (N, 3) nearest to
     them within the radius, n (N, 3) their normals; matched anew in every round. grid: the tables of a NearestGrid.
     """
-    shape, low, first, starts, blocks, names = grid
-    placed, nearest = np.empty_like(source), np.empty(len(source), np.int64)
+    shape, spans, starts, blocks, names = grid
+    placed, nearest = np.empty_like(source), np.empty(len(source), np.int32)
+    pairs, rows = np.empty((9, len(source))), np.empty((7, AT_ONCE))
     system, step, moved = np.empty((6, 7)), np.empty(6), np.empty((4, 4))
     damping = _FIRST_DAMPING
     for done in range(rounds):
         move(T, source, placed)
-        find_nearest(placed, radius, shape, low, first, starts, blocks, names, nearest)
-        error = _sum_up(placed, nearest, target, normals, system)
+        find_nearest(placed, radius, shape, spans, starts, blocks, names, nearest)
+        num = _pair_up(source, nearest, target, normals, pairs)
+        error = _sum_up(T, pairs[:, :num], rows, system)
         better = False
         for _ in range(_TRIALS):
             if not _solve(system, damping, step):
                 return done + 1
             _move(step, T, moved)
-            if _error(moved, source, nearest, target, normals) <= error:
+            if _error(moved, pairs[:, :num]) <= error:
                 better = True
                 break
             damping *= _DAMPING_FACTOR
@@ -48,40 +52,39 @@ def align(T, source, normals, target, radius, grid, rounds):  # type: ignore[no-
 
 
 @_jit
-def _sum_up(placed, nearest, target, normals, system):  # type: ignore[no-untyped-def]
-    """system (6, 7): normal equations J^T J | -J^T r, J = [n, p x n]; returns the sum of squared residuals r."""
-    system[:] = 0.0
-    error = 0.0
-    row = np.empty(7)
-    for m in range(placed.shape[0]):
-        j = nearest[m]
-        if j < 0:
-            continue
-        x, y, z = placed[m, 0], placed[m, 1], placed[m, 2]
-        a, b, c = normals[j, 0], normals[j, 1], normals[j, 2]
-        residual = a * (x - target[j, 0]) + b * (y - target[j, 1]) + c * (z - target[j, 2])
-        row[0], row[1], row[2] = a, b, c
-        row[3], row[4], row[5] = y * c - z * b, z * a - x * c, x * b - y * a
-        row[6] = -residual
-        error += residual * residual
-        for k in range(6):
-            for n in range(k, 7):
-                system[k, n] += row[k] * row[n]
-    return error
+def _pair_up(source, nearest, target, normals, pairs):  # type: ignore[no-untyped-def]
+    """pairs (9, M): source point, target point and its normal of each of the P pairs; returns P."""
+    num = 0
+    for m in range(source.shape[0]):
+        if nearest[m] >= 0:
+            j = np.uint64(nearest[m])
+            for k in range(3):
+                pairs[k, num], pairs[3 + k, num], pairs[6 + k, num] = source[m, k], target[j, k], normals[j, k]
+            num += 1
+    return num
 
 
 @_jit
-def _error(T, source, nearest, target, normals):  # type: ignore[no-untyped-def]
+def _sum_up(T, pairs, rows, system):  # type: ignore[no-untyped-def]
+    """system (6, 7): normal equations of the pairs (9, P); returns the sum of squared residuals. rows: (7, AT_ONCE)."""
+    system[:] = 0.0
     error = 0.0
-    for m in range(source.shape[0]):
-        j = nearest[m]
-        if j < 0:
-            continue
-        x, y, z = source[m, 0], source[m, 1], source[m, 2]
-        residual = 0.0
-        for k in range(3):
-            placed = T[k, 0] * x + T[k, 1] * y + T[k, 2] * z + T[k, 3]
-            residual += normals[j, k] * (placed - target[j, k])
+    for begin in range(0, pairs.shape[1], AT_ONCE):
+        end = min(begin + AT_ONCE, pairs.shape[1])
+        fill_rows(T, pairs[:, begin:end], rows)
+        error += sum_up(rows[:, : end - begin], system)
+    return error
+
+
+@_sum_jit
+def _error(T, pairs):  # type: ignore[no-untyped-def]
+    """Sum of squared residuals of the pairs (9, P) by the pose T (4, 4)."""
+    error = 0.0
+    for m in range(pairs.shape[1]):
+        x, y, z = pairs[0, m], pairs[1, m], pairs[2, m]
+        residual = pairs[6, m] * (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3] - pairs[3, m])
+        residual += pairs[7, m] * (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3] - pairs[4, m])
+        residual += pairs[8, m] * (T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3] - pairs[5, m])
         error += residual * residual
     return error
 

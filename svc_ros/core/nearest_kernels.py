@@ -18,48 +18,49 @@ _jit = njit(nogil=True, cache=True, error_model="numpy")
 
 
 @_jit
-def fill_levels(points, shape, columns, levels, low, first):  # type: ignore[no-untyped-def]
+def fill_levels(points, shape, columns, levels, spans):  # type: ignore[no-untyped-def]
     """Column of the padded grid and level of every point, and the extent of every column; returns the cells' number.
 
-    shape: as in find_nearest; columns, levels (N,); low (C,): lowest level of each column and those around it;
-    first (C + 1,): its first cell, the number of all cells at the end.
+    shape: as in find_nearest; columns, levels (N,); spans (C + 1, 2): first cell of each column (the number of all
+    cells at the end), lowest level of its points and of those around it.
     """
     padded = int(shape[5]) + 2
-    high = np.full(low.shape[0], -(1 << 30), np.int32)
-    low[:] = 1 << 30
+    num_columns = spans.shape[0] - 1
+    high = np.full(num_columns, -(1 << 30), np.int32)
+    spans[:, 1] = 1 << 30
     for i in range(points.shape[0]):
         a, b = int((points[i, 0] - shape[0]) / shape[3]), int((points[i, 1] - shape[1]) / shape[3])
         columns[i], levels[i] = (a + 1) * padded + b + 1, int((points[i, 2] - shape[2]) / shape[6])
         for row in range(-padded, padded + 1, padded):
             for column in range(columns[i] + row - 1, columns[i] + row + 2):
-                low[column] = min(low[column], levels[i])
+                spans[column, 1] = min(spans[column, 1], levels[i])
                 high[column] = max(high[column], levels[i])
     total = 0
-    for column in range(low.shape[0]):
-        first[column] = total
-        total += max(high[column] - low[column] + 1, 0)
-    first[low.shape[0]] = total
+    for column in range(num_columns):
+        spans[column, 0] = total
+        total += max(high[column] - spans[column, 1] + 1, 0)
+    spans[num_columns, 0] = total
     return total
 
 
 @_jit
-def fill_blocks(points, shape, columns, levels, low, first, starts, blocks, names):  # type: ignore[no-untyped-def]
+def fill_blocks(points, shape, columns, levels, spans, starts, blocks, names):  # type: ignore[no-untyped-def]
     """starts (cells + 1,): first entry of every cell; blocks (B, 3, LANES), names (B, LANES): nine entries a point.
 
-    columns, levels, low, first: from fill_levels; blocks are filled up by what they hold already.
+    columns, levels, spans: from fill_levels; blocks are filled up by what they hold already.
     """
     padded = int(shape[5]) + 2
     starts[:] = 0
     for i in range(points.shape[0]):
         for row in range(-padded, padded + 1, padded):
             for column in range(columns[i] + row - 1, columns[i] + row + 2):
-                starts[first[column] + levels[i] - low[column] + 1] += 1
+                starts[spans[column, 0] + levels[i] - spans[column, 1] + 1] += 1
     for cell in range(starts.shape[0] - 1):
         starts[cell + 1] += starts[cell]
     for i in range(points.shape[0]):
         for row in range(-padded, padded + 1, padded):
             for column in range(columns[i] + row - 1, columns[i] + row + 2):
-                cell = first[column] + levels[i] - low[column]
+                cell = spans[column, 0] + levels[i] - spans[column, 1]
                 block, lane = starts[cell] >> _SHIFT, starts[cell] & (LANES - 1)
                 starts[cell] += 1
                 names[block, lane] = i
@@ -71,7 +72,7 @@ def fill_blocks(points, shape, columns, levels, low, first, starts, blocks, name
 
 
 @_jit
-def find_nearest(queries, radius, shape, low, first, starts, blocks, names, nearest):  # type: ignore[no-untyped-def]
+def find_nearest(queries, radius, shape, spans, starts, blocks, names, nearest):  # type: ignore[no-untyped-def]
     """nearest (M,): name of the point nearest to each query and nearer than the radius, or -1.
 
     shape: (x, y, z of the grid's corner, edge of a column, columns along x, columns along y, height of a cell), the
@@ -87,14 +88,15 @@ def find_nearest(queries, radius, shape, low, first, starts, blocks, names, near
         if not (0.0 <= u < num_x and 0.0 <= v < padded and abs(pz) * up < 1e9):
             continue
         column = int(u) * padded + int(v)
-        cells = first[column + 1] - first[column]
+        first, low = spans[column, 0], spans[column, 1]
+        cells = spans[column + 1, 0] - first
         if cells == 0:
             continue
-        from_cell = max(int(np.floor((pz - radius) * up)) - low[column], 0)
-        to_cell = min(int(np.floor((pz + radius) * up)) - low[column], cells - 1)
+        from_cell = max(int(np.floor((pz - radius) * up)) - low, 0)
+        to_cell = min(int(np.floor((pz + radius) * up)) - low, cells - 1)
         if from_cell > to_cell:
             continue
-        begin, end = starts[first[column] + from_cell], starts[first[column] + to_cell + 1]
+        begin, end = starts[first + from_cell], starts[first + to_cell + 1]
         x, y, z = np.float32(px), np.float32(py), np.float32(pz)
         best, where = np.int32(2**31 - 1), 0
         for block in range(begin >> _SHIFT, (end + LANES - 1) >> _SHIFT):

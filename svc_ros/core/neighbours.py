@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from svc_ros.core import nearest_kernels, neighbour_kernels, sight_kernels
+from svc_ros.core import direction_kernels, nearest_kernels, neighbour_kernels
 from svc_ros.core.scan import Array, IndexArray, PreparedScan
 
-_DIRECTION_CELL_DEG = 0.7  # high at the horizon, wide on average
+_CELL_HEIGHT_DEG, _CELL_WIDTH_DEG = 0.2, 2.0  # at the horizon
 _MIN_RANGE_M = 1e-9
 _MAX_CELLS_ALONG = 1000  # a scan that is larger gets larger cells
 _LOWEST_CELL = 0.01  # of a column's edge: a cell's height at least
@@ -55,13 +56,12 @@ class RadiusGrid:
 class NearestGrid:
     """Points (N, 3) [m], nine times each, for the nearest one within a fixed radius of any query.
 
-    shape: corner (3,), edge of a column, columns along x and y, height of a cell; low, first, starts: where the cells
-    of a column and the entries of a cell begin; blocks: (B, 3, LANES) [m] from the corner; names: (B, LANES).
+    shape: corner (3,), edge of a column, columns along x and y, height of a cell; spans, starts: where the cells of
+    a column and the entries of a cell begin; blocks: (B, 3, LANES) [m] from the corner; names: (B, LANES).
     """
 
     shape: Array
-    low: IntArray
-    first: IntArray
+    spans: IntArray
     starts: IntArray
     blocks: NDArray[np.float32]
     names: IntArray
@@ -75,19 +75,19 @@ class NearestGrid:
         shape = np.array([*corner, edge, num_x, num_y, max(radius_m, _LOWEST_CELL * edge) / nearest_kernels.LEVELS])
         num_columns, lanes = (num_x + 2) * (num_y + 2), nearest_kernels.LANES
         columns, levels = np.empty(len(points), np.int32), np.empty(len(points), np.int32)
-        low, first = np.empty(num_columns, np.int32), np.empty(num_columns + 1, np.int32)
-        num_cells = nearest_kernels.fill_levels(points, shape, columns, levels, low, first)
+        spans = np.empty((num_columns + 1, 2), np.int32)
+        num_cells = nearest_kernels.fill_levels(points, shape, columns, levels, spans)
         num_blocks = -(-9 * len(points) // lanes)
         starts, names = np.empty(num_cells + 1, np.int32), np.empty((num_blocks, lanes), np.int32)
         blocks = np.empty((num_blocks, 3, lanes), np.float32)
         blocks[-1:] = _NOWHERE_M
-        nearest_kernels.fill_blocks(points, shape, columns, levels, low, first, starts, blocks, names)
-        return cls(shape, low, first, starts, blocks, names, radius_m)
+        nearest_kernels.fill_blocks(points, shape, columns, levels, spans, starts, blocks, names)
+        return cls(shape, spans, starts, blocks, names, radius_m)
 
     @property
-    def tables(self) -> tuple[Array, IntArray, IntArray, IntArray, NDArray[np.float32], IntArray]:
+    def tables(self) -> tuple[Array, IntArray, IntArray, NDArray[np.float32], IntArray]:
         """The grid as kernels take it."""
-        return self.shape, self.low, self.first, self.starts, self.blocks, self.names
+        return self.shape, self.spans, self.starts, self.blocks, self.names
 
     def nearest(self, queries: Array) -> IndexArray:
         """Index (M,) of the nearest point within the radius of each query (M, 3), -1 where there is none."""
@@ -107,13 +107,14 @@ def _corner_and_edge(points: Array, radius_m: float) -> tuple[Array, float]:
 
 @dataclass(frozen=True, eq=False)
 class DirectionGrid:
-    """Sight lines of an observer, sorted into cells of elevation and azimuth.
+    """Sight lines of an observer, sorted into cells of azimuth and elevation.
 
-    lines: (L, 8) in cell order, relative to the sensor: end point, range [m], normal, tangent of the incidence angle;
-    order: their original indices; cell_starts: (rows * columns + 1,).
+    lines: (L, 4) in cell order, relative to the sensor: end point and range [m]; surfaces: (L, 4) normal and tangent
+    of the incidence angle; order: (L,) original indices; cell_starts: (columns * rows + 1,).
     """
 
     lines: Array
+    surfaces: Array
     order: IndexArray
     cell_starts: IntArray
     rows: int
@@ -122,15 +123,20 @@ class DirectionGrid:
     @classmethod
     def build(cls, relative_points: Array, normals: Array) -> DirectionGrid:
         """Sort points (N, 3) [m], given relative to the sensor, by direction. One at the sensor itself has none."""
-        rows, columns = round(2.0 / np.radians(_DIRECTION_CELL_DEG)), round(360 / _DIRECTION_CELL_DEG)
+        rows, columns = round(2.0 / math.radians(_CELL_HEIGHT_DEG)), round(360.0 / _CELL_WIDTH_DEG)
         seen = np.flatnonzero(np.square(relative_points).sum(1) > _MIN_RANGE_M**2)
         cells = np.empty(len(seen), np.int64)
-        sight_kernels.fill_direction_cells(relative_points[seen], rows, columns, cells)
+        direction_kernels.fill_direction_cells(relative_points[seen], rows, columns, cells)
         order = seen[np.argsort(cells, kind="stable")]
         starts = np.concatenate(([0], np.cumsum(np.bincount(cells, minlength=rows * columns)))).astype(np.int32)
-        lines = np.empty((len(order), 8))
-        sight_kernels.fill_lines(np.ascontiguousarray(relative_points), normals, order, lines)
-        return cls(lines, order, starts, rows, columns)
+        lines, surfaces = np.empty((len(order), 4)), np.empty((len(order), 4))
+        direction_kernels.fill_lines(np.ascontiguousarray(relative_points), normals, order, lines, surfaces)
+        return cls(lines, surfaces, order, starts, rows, columns)
+
+    @property
+    def tables(self) -> tuple[Array, Array, IndexArray, IntArray, int, int]:
+        """The grid as kernels take it."""
+        return self.lines, self.surfaces, self.order, self.cell_starts, self.rows, self.columns
 
 
 def nearest_grid(scan: PreparedScan, radius_m: float) -> NearestGrid:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,25 +10,27 @@ import numpy as np
 from svc_ros.core import placement_kernels
 from svc_ros.core.config import SightViewConfig
 from svc_ros.core.decision_config import CovarianceConfig
-from svc_ros.core.neighbours import nearest_grid
+from svc_ros.core.placement import Placement
 from svc_ros.core.scan import Array, PreparedScan
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceContact:
-    """Point-to-plane constraints between a placed source and the target.
+    """Point-to-plane constraints between a placed source and the target, summed up.
 
-    points: (K, 3) [m] placed source points; normals: (K, 3) of the target surface they lie on; residuals: (K,) [m].
+    information: (6, 6) sum of J^T J, J = [n, p x n], p the placed source point and n the normal of the target surface
+    that it lies on: translation [m], then rotation [rad] about the target's origin; num_points: how many;
+    sum_squared_m2: of their residuals.
     """
 
-    points: Array
-    normals: Array
-    residuals: Array
+    information: Array
+    num_points: int
+    sum_squared_m2: float
 
-    def information(self) -> Array:
-        """Sum of J^T J (6, 6), J = [n, p x n]: translation, then rotation about the target's origin."""
-        jacobian = np.hstack((self.normals, np.cross(self.points, self.normals)))
-        return np.asarray(jacobian.T @ jacobian)
+    @property
+    def variance_m2(self) -> float:
+        """Mean squared residual; 1 without any."""
+        return self.sum_squared_m2 / self.num_points if self.num_points else 1.0
 
     def weakest_direction(self) -> tuple[Array, float]:
         """Unit direction (3,) along which the surfaces resist a shift least, and how much (0: none, 1/3: evenly)."""
@@ -41,7 +44,7 @@ class SurfaceContact:
 
     def _resistance(self) -> tuple[Array, Array]:
         """Resistance (3,) ascending and unit directions (3, 3) by rows, each with its largest entry positive."""
-        strength, axes = np.linalg.eigh(self.normals.T @ self.normals / max(len(self.normals), 1))
+        strength, axes = np.linalg.eigh(self.information[:3, :3] / max(self.num_points, 1))
         rows = axes.T
         largest = rows[np.arange(3), np.abs(rows).argmax(1)]
         return np.maximum(strength, 0.0), rows * np.where(largest < 0, -1.0, 1.0)[:, None]
@@ -52,25 +55,21 @@ class SurfaceContact:
         Neighbouring points of one surface share their errors, so only one in `points_per_constraint` counts. A floor
         stands for what the residuals do not show: sensor calibration, motion within a sweep.
         """
-        variance = float(np.mean(np.square(self.residuals))) if len(self.residuals) else 1.0
-        ridge = np.diag([1.0] * 3 + [1.0] * 3)  # keeps directions without any constraint finite
-        information = self.information() / config.points_per_constraint / max(variance, 1e-8)
-        floor = np.diag([config.floor_translation_m**2] * 3 + [np.radians(config.floor_rotation_deg) ** 2] * 3)
-        covariance = np.linalg.inv(information + ridge) + floor
+        information = self.information / config.points_per_constraint / max(self.variance_m2, 1e-8)
+        floor = np.diag([config.floor_translation_m**2] * 3 + [math.radians(config.floor_rotation_deg) ** 2] * 3)
+        covariance = np.linalg.inv(information + np.eye(6)) + floor  # directions without any constraint stay finite
         return np.asarray(0.5 * (covariance + covariance.T))
 
 
-def find_contact(
-    source: PreparedScan, target: PreparedScan, T_target_source: Array, config: SightViewConfig
-) -> SurfaceContact:
-    """Source points that lie on target surface facing the same way, with the planes they lie on."""
-    points, normals, residuals = np.empty_like(source.points), np.empty_like(source.points), np.empty(len(source))
-    num = placement_kernels.pick_contact(
-        np.ascontiguousarray(T_target_source), source.points, source.normals, target.points, target.normals,
-        nearest_grid(target, config.tolerance_m).tables, np.array([config.tolerance_m, config.same_side_cosine]),
-        points, normals, residuals,
+def find_contact(target: PreparedScan, placement: Placement, config: SightViewConfig) -> SurfaceContact:
+    """Of the source points, placed in the target's frame, those on target surface that faces the same way."""
+    system = np.empty((6, 7))
+    num, squared = placement_kernels.sum_contact(
+        placement.T_observer_other, placement.other.points, placement.other.normals, placement.nearest,
+        target.points, target.normals, config.same_side_cosine, system,
     )  # fmt: skip
-    return SurfaceContact(points[:num], normals[:num], residuals[:num])
+    upper = np.triu(system[:, :6])
+    return SurfaceContact(upper + np.triu(upper, 1).T, num, squared)
 
 
 def shift(T_target_source: Array, direction: Array, distance_m: float) -> Array:

@@ -2,55 +2,75 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from svc_ros.core import placement_kernels
 from svc_ros.core.config import SightViewConfig
 from svc_ros.core.neighbours import nearest_grid
-from svc_ros.core.scan import Array, IndexArray, PreparedScan
+from svc_ros.core.scan import Array, PreparedScan
+
+Shares = tuple[float, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """The other scan in the observer's frame.
+    """The other scan in the observer's frame, by a pose (4, 4).
 
-    alone, alone_normals: (A, 3) [m], unit, the placed points that lie on nothing of the observer's; alone_idx: (A,)
-    their indices; num_points: of the whole other scan; num_near, num_same, num_opposed, num_tight: its points with the
-    observer's surface within the tolerance; with surface that faces the same way; the opposite way; and, facing the
-    same way, within a quarter of the tolerance;
-    plane_sums: (3, 3) outer products of the observer's normals, summed over those that face the same way.
+    nearest: (M,) the observer's point that each of the other's lies on, -1 where it lies on none; num_near, num_same,
+    num_opposed, num_tight: points with the observer's surface within the tolerance; with surface that faces the same
+    way; the opposite way; and, facing the same way, within a quarter of the tolerance;
+    plane_sums: (6,) xx, xy, xz, yy, yz, zz of the observer's normals, summed over those that face the same way.
     """
 
-    alone: Array
-    alone_normals: Array
-    alone_idx: IndexArray
-    num_points: int
+    T_observer_other: Array
+    other: PreparedScan
+    nearest: NDArray[np.int32]
     num_near: int
     num_same: int
     num_opposed: int
     num_tight: int
-    plane_sums: Array
+    plane_sums: tuple[float, ...]
 
-    def shares(self) -> Array:
-        """(6,): overlap, oriented overlap, opposed and constraint ratio; weakest constraint and tight ratio."""
-        weakest, middle, _ = np.maximum(np.linalg.eigvalsh(self.plane_sums), 0.0)
-        of_all = np.array([self.num_near, self.num_same, self.num_opposed, middle]) / self.num_points
-        return np.concatenate((of_all, np.array([weakest, self.num_tight]) / max(self.num_same, 1)))
+    def shares(self) -> Shares:
+        """Overlap, oriented overlap, opposed and constraint ratio; weakest constraint and tight ratio."""
+        weakest, middle, _ = eigenvalues(self.plane_sums)
+        num, same = len(self.other), max(self.num_same, 1)
+        return (
+            self.num_near / num, self.num_same / num, self.num_opposed / num, max(middle, 0.0) / num,
+            max(weakest, 0.0) / same, self.num_tight / same,
+        )  # fmt: skip
+
+
+def eigenvalues(sums: tuple[float, ...]) -> tuple[float, float, float]:
+    """Of the symmetric matrix with these xx, xy, xz, yy, yz, zz, ascending; to a few roundings of the largest.
+
+    The roots of its characteristic polynomial by the cosine of a third of an angle: many times quicker for one matrix
+    than a library's call.
+    """
+    xx, xy, xz, yy, yz, zz = sums
+    mean = (xx + yy + zz) / 3.0
+    a, b, c = xx - mean, yy - mean, zz - mean
+    spread = math.sqrt((a * a + b * b + c * c + 2.0 * (xy * xy + xz * xz + yz * yz)) / 6.0)
+    if spread == 0.0:
+        return mean, mean, mean
+    half_det = 0.5 * (a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)) / spread**3
+    angle = math.acos(min(max(half_det, -1.0), 1.0)) / 3.0
+    largest = mean + 2.0 * spread * math.cos(angle)
+    smallest = mean + 2.0 * spread * math.cos(angle + 2.0 * math.pi / 3.0)
+    return smallest, 3.0 * mean - largest - smallest, largest
 
 
 def place(observer: PreparedScan, other: PreparedScan, T_observer_other: Array, config: SightViewConfig) -> Placement:
     """Place the other scan by a pose (4, 4) and find the surface under every point."""
-    alone, alone_normals = np.empty_like(other.points), np.empty_like(other.normals)
-    names, sums = np.empty(len(other), np.int64), np.empty(10)
-    num = placement_kernels.split(
-        np.ascontiguousarray(T_observer_other), other.points, other.normals, observer.points, observer.normals,
-        nearest_grid(observer, config.tolerance_m).tables, np.array([config.tolerance_m, config.same_side_cosine]),
-        alone, alone_normals, names, sums,
+    T, nearest, sums = np.ascontiguousarray(T_observer_other), np.empty(len(other), np.int32), np.empty(10)
+    placement_kernels.split(
+        T, other.points, other.normals, observer.points, observer.normals,
+        nearest_grid(observer, config.tolerance_m).tables, (config.tolerance_m, config.same_side_cosine),
+        nearest, sums,
     )  # fmt: skip
-    near, same, opposed, tight = sums[:4].astype(np.int64).tolist()
-    planes = sums[[4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(3, 3)
-    return Placement(
-        alone[:num], alone_normals[:num], names[:num], len(other), near, same, opposed, tight, planes
-    )  # fmt: skip
+    near, same, opposed, tight, *planes = sums.tolist()
+    return Placement(T, other, nearest, int(near), int(same), int(opposed), int(tight), tuple(planes))

@@ -9,10 +9,11 @@ import numpy as np
 from numba import njit
 
 from svc_ros.core.nearest_kernels import find_nearest
+from svc_ros.core.plane_kernels import fill_rows, sum_up
 
 _jit = njit(nogil=True, cache=True, error_model="numpy")
 
-_AT_ONCE = 256
+AT_ONCE = 256
 
 
 @_jit
@@ -35,79 +36,71 @@ def place(T, points, normals, placed, turned):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def split(T, points, normals, own, own_normals, grid, limits, alone, alone_normals, names, sums):  # type: ignore[no-untyped-def]  # fmt: skip
-    """Number A of points (M, 3) that a pose (4, 4) puts on no own point (N, 3) within the tolerance.
-
-    The first A of alone, alone_normals (M, 3) and names (M,) become these, placed, and their indices. grid: the tables
-    of a NearestGrid of the own points; limits: (tolerance, smallest cosine of normals that face the same way).
-    sums (10,), of the other points: their number; those whose surface faces the same way as the own, the opposite way;
-    those of the same way within a quarter of the tolerance of the own plane; then xx, xy, xz, yy, yz, zz of the own
-    normals, summed over those of the same way.
-    """
-    shape, low, first, starts, blocks, block_names = grid
-    placed, turned, nearest = np.empty((_AT_ONCE, 3)), np.empty((_AT_ONCE, 3)), np.empty(_AT_ONCE, np.int64)
-    num_alone = 0
-    sums[:] = 0.0
-    for begin in range(0, points.shape[0], _AT_ONCE):
-        num = min(_AT_ONCE, points.shape[0] - begin)
-        place(T, points[begin : begin + num], normals[begin : begin + num], placed, turned)
-        find_nearest(placed[:num], limits[0], shape, low, first, starts, blocks, block_names, nearest)
-        for m in range(num):
-            if nearest[m] < 0:
-                for k in range(3):
-                    alone[num_alone, k], alone_normals[num_alone, k] = placed[m, k], turned[m, k]
-                names[num_alone] = begin + m
-                num_alone += 1
-        _sum_up(placed[:num], turned, nearest, own, own_normals, limits, sums)
-    return num_alone
+def turned_dot(T, normal, x, y, z):  # type: ignore[no-untyped-def]
+    """A normal (3,), turned by the pose T (4, 4), times (x, y, z)."""
+    a, b, c = normal[0], normal[1], normal[2]
+    u = T[0, 0] * a + T[0, 1] * b + T[0, 2] * c
+    v = T[1, 0] * a + T[1, 1] * b + T[1, 2] * c
+    return u * x + v * y + (T[2, 0] * a + T[2, 1] * b + T[2, 2] * c) * z
 
 
 @_jit
-def _sum_up(placed, turned, nearest, own, own_normals, limits, sums):  # type: ignore[no-untyped-def]
-    for m in range(placed.shape[0]):
-        n = nearest[m]
-        if n < 0:
-            continue
-        sums[0] += 1.0
-        a, b, c = own_normals[n, 0], own_normals[n, 1], own_normals[n, 2]
-        cosine = turned[m, 0] * a + turned[m, 1] * b + turned[m, 2] * c
-        if cosine < -limits[1]:
-            sums[2] += 1.0
-        elif cosine > limits[1]:
-            sums[1] += 1.0
-            x, y, z = placed[m, 0] - own[n, 0], placed[m, 1] - own[n, 1], placed[m, 2] - own[n, 2]
-            sums[3] += abs(x * a + y * b + z * c) < 0.25 * limits[0]
-            sums[4] += a * a
-            sums[5] += a * b
-            sums[6] += a * c
-            sums[7] += b * b
-            sums[8] += b * c
-            sums[9] += c * c
+def split(T, points, normals, own, own_normals, grid, limits, nearest, sums):  # type: ignore[no-untyped-def]
+    """nearest (M,): the own point (N, 3) that each point (M, 3) lies on by the pose (4, 4), -1 if on none.
 
-
-@_jit
-def pick_contact(T, points, normals, own, own_normals, grid, limits, touching, planes, residuals):  # type: ignore[no-untyped-def]  # fmt: skip
-    """Number K of points (M, 3) that a pose (4, 4) puts on own surface which faces the same way.
-
-    The first K of touching (M, 3), planes (M, 3) and residuals (M,) become these points, placed, the own normals under
-    them and the distances from the own planes. The rest as in `split`.
+    grid: the tables of a NearestGrid of the own points; limits: (tolerance, smallest cosine of normals that face the
+    same way). sums (10,), of the points that lie on something: their number; those whose surface faces the same way as
+    the own, the opposite way; those of the same way within a quarter of the tolerance of the own plane; then xx, xy,
+    xz, yy, yz, zz of the own normals, summed over those of the same way.
     """
-    shape, low, first, starts, blocks, block_names = grid
-    placed, turned, nearest = np.empty((_AT_ONCE, 3)), np.empty((_AT_ONCE, 3)), np.empty(_AT_ONCE, np.int64)
-    count = 0
-    for begin in range(0, points.shape[0], _AT_ONCE):
-        num = min(_AT_ONCE, points.shape[0] - begin)
-        place(T, points[begin : begin + num], normals[begin : begin + num], placed, turned)
-        find_nearest(placed[:num], limits[0], shape, low, first, starts, blocks, block_names, nearest)
-        for m in range(num):
-            n = nearest[m]
-            if n < 0:
+    shape, spans, starts, blocks, block_names = grid
+    placed = np.empty((AT_ONCE, 3))
+    tolerance, min_cosine = limits[0], limits[1]
+    near, opposed, same, tight = 0, 0, 0, 0
+    xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for begin in range(0, points.shape[0], AT_ONCE):
+        end = min(begin + AT_ONCE, points.shape[0])
+        move(T, points[begin:end], placed)
+        find_nearest(placed[: end - begin], tolerance, shape, spans, starts, blocks, block_names, nearest[begin:end])
+        for m in range(end - begin):
+            if nearest[begin + m] < 0:
                 continue
+            near += 1
+            n = np.uint64(nearest[begin + m])  # an index that cannot be negative is quicker
             a, b, c = own_normals[n, 0], own_normals[n, 1], own_normals[n, 2]
-            if turned[m, 0] * a + turned[m, 1] * b + turned[m, 2] * c > limits[1]:
-                x, y, z = placed[m, 0], placed[m, 1], placed[m, 2]
-                touching[count, 0], touching[count, 1], touching[count, 2] = x, y, z
-                planes[count, 0], planes[count, 1], planes[count, 2] = a, b, c
-                residuals[count] = (x - own[n, 0]) * a + (y - own[n, 1]) * b + (z - own[n, 2]) * c
-                count += 1
-    return count
+            cosine = turned_dot(T, normals[begin + m], a, b, c)
+            opposed += cosine < -min_cosine
+            if cosine > min_cosine:
+                same += 1
+                x, y, z = placed[m, 0] - own[n, 0], placed[m, 1] - own[n, 1], placed[m, 2] - own[n, 2]
+                tight += abs(x * a + y * b + z * c) < 0.25 * tolerance
+                xx, xy, xz = xx + a * a, xy + a * b, xz + a * c
+                yy, yz, zz = yy + b * b, yz + b * c, zz + c * c
+    sums[0], sums[1], sums[2], sums[3] = near, same, opposed, tight
+    sums[4], sums[5], sums[6], sums[7], sums[8], sums[9] = xx, xy, xz, yy, yz, zz
+
+
+@_jit
+def sum_contact(T, points, normals, nearest, own, own_normals, min_cosine, system):  # type: ignore[no-untyped-def]
+    """Number of points (M, 3) that a pose (4, 4) puts on own surface which faces the same way; their squared residuals.
+
+    nearest (M,): from split; system (6, 7): normal equations of their distances from the own planes, as in sum_up.
+    """
+    pairs, rows = np.empty((9, AT_ONCE)), np.empty((7, AT_ONCE))
+    system[:] = 0.0
+    count, squared = 0, 0.0
+    for begin in range(0, points.shape[0], AT_ONCE):
+        num = 0
+        for m in range(begin, min(begin + AT_ONCE, points.shape[0])):
+            if nearest[m] < 0:
+                continue
+            n = np.uint64(nearest[m])
+            a, b, c = own_normals[n, 0], own_normals[n, 1], own_normals[n, 2]
+            if turned_dot(T, normals[m], a, b, c) > min_cosine:
+                for k in range(3):
+                    pairs[k, num], pairs[3 + k, num], pairs[6 + k, num] = points[m, k], own[n, k], own_normals[n, k]
+                num += 1
+        fill_rows(T, pairs[:, :num], rows)
+        squared += sum_up(rows[:, :num], system)
+        count += num
+    return count, squared

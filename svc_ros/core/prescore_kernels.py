@@ -17,11 +17,11 @@ def count_agreeing(T, points, normals, radius, grid, own_normals, min_cosine, ag
 
     own_normals (N, 3); grid: the tables of a NearestGrid of the own points.
     """
-    shape, low, first, starts, blocks, names = grid
+    shape, spans, starts, blocks, names = grid
     placed, turned, nearest = np.empty_like(points), np.empty_like(points), np.empty(len(points), np.int64)
     for h in range(T.shape[0]):
         place(T[h], points, normals, placed, turned)
-        find_nearest(placed, radius, shape, low, first, starts, blocks, names, nearest)
+        find_nearest(placed, radius, shape, spans, starts, blocks, names, nearest)
         count = 0
         for m in range(points.shape[0]):
             n = nearest[m]

@@ -84,8 +84,11 @@ def _prepared_pair(
 ) -> Pair:
     """Thin the scans and turn their normals to the sensor, unless that was done before; its time begins here."""
     watch = Stopwatch()
+    both_raw = isinstance(source, Scan) and isinstance(target, Scan)
     with watch.stage("prepare"):
-        source_scan, target_scan = on_all_processors(lambda scan: _prepared(scan, config), (source, target))
+        source_scan, target_scan = (on_all_processors if both_raw else map)(
+            lambda scan: _prepared(scan, config), (source, target)
+        )
     counts = {"source_points": len(source_scan), "target_points": len(target_scan)}
     return Pair(source_scan, target_scan, config, counts, watch)
 

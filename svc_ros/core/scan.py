@@ -32,7 +32,7 @@ def frozen_array(value: ArrayLike, dtype: type, name: str, shape: tuple[int | No
     if array.ndim != len(shape) or any(e is not None and e != n for e, n in zip(shape, array.shape, strict=True)):
         expected = " x ".join("N" if e is None else str(e) for e in shape)
         raise InputError(f"{name}: expected shape {expected}, found {array.shape}")
-    if np.issubdtype(array.dtype, np.floating) and not np.isfinite(array).all():
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
         raise InputError(f"{name}: expected finite numbers, found {int((~np.isfinite(array)).sum())} NaN or inf")
     view = array.view()
     view.flags.writeable = False

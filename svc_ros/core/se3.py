@@ -29,7 +29,7 @@ def invert(T: ArrayLike) -> Array:
     """Invert poses (..., 4, 4): T_source_target from T_target_source."""
     T = np.asarray(T, np.float64)
     R_inv = np.swapaxes(T[..., :3, :3], -1, -2)
-    return make_pose(R_inv, -np.einsum("...ij,...j->...i", R_inv, T[..., :3, 3]))
+    return make_pose(R_inv, -(R_inv @ T[..., :3, 3:])[..., 0])
 
 
 def apply(T: ArrayLike, points: ArrayLike) -> Array:
@@ -46,9 +46,9 @@ def rotate(T: ArrayLike, vectors: ArrayLike) -> Array:
 def rotation_angle_deg(R: ArrayLike) -> Array:
     """Angle [deg] of rotations (..., 3, 3), exact near 0 and near 180 deg."""
     R = np.asarray(R, np.float64)
-    vee = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
-    sine = 0.5 * np.linalg.norm(vee, axis=-1)
-    cosine = 0.5 * (np.trace(R, axis1=-2, axis2=-1) - 1.0)
+    twice_odd = R - np.swapaxes(R, -1, -2)
+    sine = np.sqrt(np.square(twice_odd).sum((-2, -1)) / 8.0)
+    cosine = 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1.0)
     return np.asarray(np.degrees(np.arctan2(sine, cosine)))
 
 

@@ -17,11 +17,12 @@ from svc_ros.core.config import Config
 from svc_ros.core.evidence import SightViewEvidence
 from svc_ros.core.observability import SurfaceContact, find_contact, shift
 from svc_ros.core.parallel import on_all_processors
+from svc_ros.core.placement import place
 from svc_ros.core.prescore import thinned_scan
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Array, Correspondences, HypothesisSet, PreparedScan
 from svc_ros.core.se3 import pose_error
-from svc_ros.core.sight_view import Allowance, gather_evidence, index
+from svc_ros.core.sight_view import Allowance, gather_evidence, index, is_indexed, look_both_ways
 from svc_ros.core.stopwatch import Stopwatch
 
 _HOPELESS = float(np.log(8.0))  # a pose that promises less by this can neither win nor cast doubt on the winner
@@ -47,12 +48,22 @@ class Pair:
         with self.watch.stage("sight_view"):
             return gather_evidence(self.source, self.target, T, self.config.sight_view)
 
-    def look_at_all(self, poses: Sequence[Array], allowances: Sequence[Allowance]) -> list[SightViewEvidence]:
-        """The evidence of each pose, on all processors; a look ends early where more is blocked than allowed."""
+    def look_and_touch(self, T: Array) -> tuple[SightViewEvidence, SurfaceContact]:
+        """The evidence of one pose, and the agreeing surface under it."""
         view = self.config.sight_view
         with self.watch.stage("sight_view"):
-            for scan in (self.source, self.target):
-                index(scan, view)
+            evidence, in_target = look_both_ways(self.source, self.target, T, view)
+        with self.watch.stage("observability"):
+            return evidence, find_contact(self.target, in_target, view)
+
+    def look_at_all(self, poses: Sequence[Array], allowances: Sequence[Allowance]) -> list[SightViewEvidence]:
+        """The evidence of each pose, on all processors; a look ends early where more is blocked than allowed."""
+        if len(poses) == 1:
+            return [self.look(poses[0])]
+        view = self.config.sight_view
+        with self.watch.stage("sight_view"):
+            new = [scan for scan in (self.source, self.target) if not is_indexed(scan)]
+            on_all_processors(lambda scan: index(scan, view), new)
             return on_all_processors(
                 lambda job: gather_evidence(self.source, self.target, job[0], view, job[1]),
                 zip(poses, allowances, strict=True),
@@ -69,8 +80,9 @@ class Pair:
 
     def contact(self, T: Array) -> SurfaceContact:
         """The agreeing surface under one pose."""
+        view = self.config.sight_view
         with self.watch.stage("observability"):
-            return find_contact(self.source, self.target, T, self.config.sight_view)
+            return find_contact(self.target, place(self.target, self.source, T, view), view)
 
     def answer(
         self,
@@ -204,10 +216,10 @@ def verify_svc(pair: Pair, T: Array) -> RegistrationResult:
     limits = pair.config.shortlist
     if angle > limits.max_moved_rotation_deg or distance > limits.max_moved_translation_m:
         return pair.answer(T, pair.look(T), decision.moved_away(angle, distance))
-    evidence = pair.look(refined)
+    evidence, contact = pair.look_and_touch(refined)
     if decision.decide(evidence, pair.config.decision).verdict is not Verdict.ACCEPTED:
-        return _judge(pair, Settled(refined, evidence, None, [], []), [])
-    return _judge(pair, _with_slips(pair, refined, evidence), [])
+        return _judge(pair, Settled(refined, evidence, contact, [], []), [])
+    return _judge(pair, _with_slips(pair, refined, evidence, contact), [])
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,7 +232,7 @@ class Settled:
 
     T_target_source: Array
     evidence: SightViewEvidence
-    contact: SurfaceContact | None
+    contact: SurfaceContact
     far_slips: list[tuple[Array, SightViewEvidence]]
     near_slips: list[tuple[Array, SightViewEvidence]]
 
@@ -237,18 +249,18 @@ def _settle(pair: Pair, T: Array) -> Settled:
     """Refine with more points; where a slip along a weak direction looks better, refine from there instead."""
     num_points = pair.config.shortlist.icp_last_points
     T = pair.refine(T, num_points)
-    settled = _with_slips(pair, T, pair.look(T))
+    settled = _with_slips(pair, T, *pair.look_and_touch(T))
     slip, evidence = max(settled.far_slips + settled.near_slips, key=lambda item: decision.score(item[1]))
     if decision.score(evidence) <= decision.score(settled.evidence):
         return settled
     other = pair.refine(slip, num_points)
-    seen = pair.look(other)
-    return _with_slips(pair, other, seen) if decision.score(seen) > decision.score(settled.evidence) else settled
+    seen, contact = pair.look_and_touch(other)
+    better = decision.score(seen) > decision.score(settled.evidence)
+    return _with_slips(pair, other, seen, contact) if better else settled
 
 
-def _with_slips(pair: Pair, T: Array, evidence: SightViewEvidence) -> Settled:
+def _with_slips(pair: Pair, T: Array, evidence: SightViewEvidence, contact: SurfaceContact) -> Settled:
     config, best = pair.config.decision, decision.score(evidence)
-    contact = pair.contact(T)
     directions = contact.weak_directions(config.weak_constraint)
     far, near = (
         [shift(T, direction, sign * distance_m) for direction in directions for sign in (-1.0, 1.0)]

@@ -5,182 +5,153 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from svc_ros.core.direction_kernels import cell_range, fill_bounds
+from svc_ros.core.placement_kernels import turned_dot
+
 _jit = njit(nogil=True, cache=True, error_model="numpy")
 
 _AT_ONCE = 256
-_ROUNDING = 1e-6  # of a cell: so near to its border a direction is looked for on both sides
+_HITS = 1024  # lines that pass a point closely are judged so many at a time
 
 
 @_jit
-def quarter_turns(x, y):  # type: ignore[no-untyped-def]
-    """Grows with the azimuth of (x, y), one in each quarter from 0 to 4; no angle is computed."""
-    size = abs(x) + abs(y)
-    along = y / size if size > 0.0 else 0.0
-    ahead = along if along >= 0.0 else 4.0 + along
-    return 2.0 - along if x < 0.0 else ahead
+def place_alone(T, points, nearest, origin, begin, names, x, y, z):  # type: ignore[no-untyped-def]
+    """The next points (M, 3), from `begin` on, that lie on nothing: how many, and where those after them begin.
 
-
-@_jit
-def fill_direction_cells(points, rows, columns, cells):  # type: ignore[no-untyped-def]
-    """cells (N,): row-major cell of each point's direction from the origin: by sine of its elevation, by azimuth."""
-    for i in range(points.shape[0]):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        row = int((0.5 * z / np.sqrt(x * x + y * y + z * z) + 0.5) * rows)
-        column = int(0.25 * quarter_turns(x, y) * columns)
-        cells[i] = min(max(row, 0), rows - 1) * columns + min(max(column, 0), columns - 1)
-
-
-@_jit
-def fill_lines(points, normals, order, lines):  # type: ignore[no-untyped-def]
-    """lines (L, 8): end point, range, normal and tangent of the incidence angle of each sight line."""
-    for i in range(order.shape[0]):
-        x, y, z = points[order[i], 0], points[order[i], 1], points[order[i], 2]
-        a, b, c = normals[order[i], 0], normals[order[i], 1], normals[order[i], 2]
-        length = np.sqrt(x * x + y * y + z * z)
-        cosine = abs(x * a + y * b + z * c) / length
-        lines[i, 0], lines[i, 1], lines[i, 2], lines[i, 3] = x, y, z, length
-        lines[i, 4], lines[i, 5], lines[i, 6] = a, b, c
-        lines[i, 7] = np.sqrt(max(1.0 - cosine * cosine, 0.0)) / max(cosine, 1e-9)
-
-
-@_jit
-def fill_relative(points, origin, begin, x, y, z):  # type: ignore[no-untyped-def]
-    """x, y, z (K,): points begin.. of (M, 3), seen from the origin; returns how many."""
-    num = min(x.shape[0], points.shape[0] - begin)
+    names (K + 1,): their indices; x, y, z (K,): where the pose T (4, 4) puts them, seen from the origin.
+    """
+    num, end = 0, begin
+    while end < nearest.shape[0] and num < x.shape[0]:
+        start, end = end, min(end + x.shape[0] - num, nearest.shape[0])
+        for m in range(start, end):
+            names[num] = m
+            num += nearest[m] < 0
     for k in range(num):
-        x[k], y[k] = points[begin + k, 0] - origin[0], points[begin + k, 1] - origin[1]
-        z[k] = points[begin + k, 2] - origin[2]
-    return num
+        a, b, c = points[names[k], 0], points[names[k], 1], points[names[k], 2]
+        x[k] = T[0, 0] * a + T[0, 1] * b + T[0, 2] * c + T[0, 3] - origin[0]
+        y[k] = T[1, 0] * a + T[1, 1] * b + T[1, 2] * c + T[1, 3] - origin[1]
+        z[k] = T[2, 0] * a + T[2, 1] * b + T[2, 2] * c + T[2, 3] - origin[2]
+    return num, end
 
 
 @_jit
-def fill_bounds(x, y, z, radius, max_sine, rows, columns, bounds):  # type: ignore[no-untyped-def]
-    """bounds (4, K): first and last row, first and last column of the cells with all directions around (x, y, z) (K,).
+def judge_hits(num_hits, hits, batch, T, normals, limits, grid, found):  # type: ignore[no-untyped-def]
+    """Note which lines are observed and which are blocked, of those that pass a point closely; how many more are.
 
-    That is around by the angle whose sine is the smaller one of max_sine and radius over distance; none for points
-    within the radius. Columns go round: the first may be below zero, the last beyond their number. rows, columns:
-    float64. No branches, no angles: the compiler takes several points at once.
+    hits: points of the batch and places of lines in the grid; the rest as in find_blockers.
     """
-    for k in range(x.shape[0]):
-        sq_flat = x[k] * x[k] + y[k] * y[k]
-        flat, length = np.sqrt(sq_flat), np.sqrt(sq_flat + z[k] * z[k])
-        sine = min(min(radius, length * max_sine) / length, 1.0)
-        up, level, cosine = z[k] / length, flat / length, np.sqrt(1.0 - sine * sine)
-        low, high = up * cosine - level * sine, up * cosine + level * sine  # sines of the lowest and highest elevation
-        pole = level <= sine  # one of them, and so all azimuths, are among the directions
-        aside = min(sine / level, 1.0)  # sine of the largest difference of azimuth
-        ahead = np.sqrt(1.0 - aside * aside)
-        first = quarter_turns(x[k] * ahead + y[k] * aside, y[k] * ahead - x[k] * aside)
-        last = quarter_turns(x[k] * ahead - y[k] * aside, y[k] * ahead + x[k] * aside)
-        first, last = np.floor(0.25 * first * columns - _ROUNDING), np.floor(0.25 * last * columns + _ROUNDING)
-        last = last + columns if last < first else last
-        low = -1.0 if (pole and z[k] <= 0.0) else low
-        high = 1.0 if (pole and z[k] > 0.0) else high
-        bounds[0, k] = max(np.floor((0.5 * low + 0.5) * rows - _ROUNDING), 0.0)
-        bounds[1, k] = min(np.floor((0.5 * high + 0.5) * rows + _ROUNDING), rows - 1.0)
-        bounds[2, k] = 0.0 if pole else first
-        bounds[3, k] = columns - 1.0 if pole else min(last, first + columns - 1.0)
-
-
-@_jit
-def cell_range(row, bounds, k, columns, cell_starts, part):  # type: ignore[no-untyped-def]
-    """First entry, and the one after the last, of point k's cells in a row: part 0 up to the seam, part 1 beyond it."""
-    first, last = int(bounds[2, k]), int(bounds[3, k])
-    if first < 0:
-        first, last = first + columns, last + columns
-    if part == 1:
-        first, last = 0, last - columns  # none where the last is not beyond the seam
-    return cell_starts[row * columns + first], cell_starts[row * columns + min(last, columns - 1) + 1]
-
-
-@_jit
-def find_blockers(placed, turned, origin, limits, max_blocked, lines, order, cell_starts, rows, columns, blocker, blocker_range, observed):  # type: ignore[no-untyped-def]  # fmt: skip  # noqa: E501
-    """Find the sight lines that end behind a point of the other scan; return how many.
-
-    placed, turned (M, 3): those points of the other scan, with their normals, in the observer's frame that lie on
-    nothing of the observer's own surface; origin (3,): the sensor;
-    limits: (tolerance, beam radius, sine of the largest half angle, largest tangent of the incidence angle);
-    max_blocked: the search ends as soon as more lines are blocked;
-    lines (L, 8): as fill_lines leaves them, sorted by direction cell; order (L,): their names;
-    blocker (N,): by the line's name, the nearest point that blocks it, or -1; blocker_range (N,): its range;
-    observed (N,): whether any point that may block lies along the line.
-    A point p blocks the line to q if the line passes within the beam radius of it, its range is smaller than q's by
-    more than the tolerance plus what the surface at q may rise within that radius, and neither surface's tangent
-    plane contains the other point within the tolerance.
-    """
-    tolerance, radius, max_sine, max_tangent = limits[0], limits[1], limits[2], limits[3]
-    x, y, z, bounds = np.empty(_AT_ONCE), np.empty(_AT_ONCE), np.empty(_AT_ONCE), np.empty((4, _AT_ONCE))
+    of_point, of_line = hits
+    names, x, y, z, sizes = batch
+    tolerance, max_tangent = limits[0], limits[3]
+    lines, surfaces, order = grid[0], grid[1], grid[2]
+    blocker, blocker_range, observed = found
     num_blocked = 0
-    for m in range(placed.shape[0]):
-        k = m % _AT_ONCE
-        if k == 0:
-            num = fill_relative(placed, origin, m, x, y, z)
-            fill_bounds(x[:num], y[:num], z[:num], radius, max_sine, float(rows), float(columns), bounds)
-        px, py, pz = x[k], y[k], z[k]
-        sq_p = px * px + py * py + pz * pz
-        p_range = np.sqrt(sq_p)
-        if p_range <= radius:
+    for h in range(num_hits):
+        k, i = of_point[h], of_line[h]
+        observed[i] = True
+        q_range, p_range = lines[i, 3], sizes[1, k]
+        gap = q_range - p_range - tolerance
+        if gap <= 0.0:
             continue
-        sq_limit = min(radius, p_range * max_sine) ** 2
-        for row in range(int(bounds[0, k]), int(bounds[1, k]) + 1):
-            for part in range(2 if bounds[3, k] >= columns or bounds[2, k] < 0.0 else 1):
-                begin, end = cell_range(row, bounds, k, columns, cell_starts, part)
-                for i in range(begin, end):
-                    qx, qy, qz, q_range = lines[i, 0], lines[i, 1], lines[i, 2], lines[i, 3]
-                    dot = px * qx + py * qy + pz * qz
-                    if dot <= 0.0:
-                        continue
-                    sq_offset = sq_p - dot * dot / (q_range * q_range)
-                    if sq_offset > sq_limit:
-                        continue
-                    name = order[i]
-                    observed[name] = True
-                    gap = q_range - p_range - tolerance
-                    if gap <= 0.0 or gap <= np.sqrt(max(sq_offset, 0.0)) * min(lines[i, 7], max_tangent):
-                        continue
-                    dx, dy, dz = px - qx, py - qy, pz - qz
-                    if abs(lines[i, 4] * dx + lines[i, 5] * dy + lines[i, 6] * dz) <= tolerance:
-                        continue
-                    if abs(turned[m, 0] * dx + turned[m, 1] * dy + turned[m, 2] * dz) <= tolerance:
-                        continue
-                    if blocker[name] < 0:
-                        num_blocked += 1
-                    if blocker[name] < 0 or p_range < blocker_range[name]:
-                        blocker[name], blocker_range[name] = m, p_range
-        if num_blocked > max_blocked:
-            break
+        dot = x[k] * lines[i, 0] + y[k] * lines[i, 1] + z[k] * lines[i, 2]
+        sq_offset = sizes[0, k] - dot * dot / (q_range * q_range)
+        if gap <= np.sqrt(max(sq_offset, 0.0)) * min(surfaces[i, 3], max_tangent):
+            continue
+        dx, dy, dz = x[k] - lines[i, 0], y[k] - lines[i, 1], z[k] - lines[i, 2]
+        if abs(surfaces[i, 0] * dx + surfaces[i, 1] * dy + surfaces[i, 2] * dz) <= tolerance:
+            continue
+        if abs(turned_dot(T, normals[names[k]], dx, dy, dz)) <= tolerance:
+            continue
+        name = order[i]
+        num_blocked += blocker[name] < 0
+        if blocker[name] < 0 or p_range < blocker_range[name]:
+            blocker[name], blocker_range[name] = names[k], p_range
     return num_blocked
 
 
 @_jit
-def find_free_blocked(placed, turned, origin, limits, rays, order, cell_starts, rows, columns, met):  # type: ignore[no-untyped-def]
-    """met (F,): whether a free ray, by its name, meets a placed point that the sensor would have seen.
+def find_blockers(T, points, normals, nearest, origin, limits, max_blocked, grid, found):  # type: ignore[no-untyped-def]
+    """Find the sight lines that end behind a point of the other scan; return how many.
 
-    placed, turned, origin: as in find_blockers; limits: (beam radius, sine of its largest half angle,
-    smallest range, range of a surface met head on, largest tangent of the incidence angle);
-    rays (F, 8): unit directions as fill_lines leaves them, sorted by direction cell; order (F,): their names.
+    T (4, 4): the other scan's pose in the observer's frame; points, normals (M, 3): its own; nearest (M,): below zero
+    where a point lies on nothing of the observer's surface: only such points block; origin (3,): the sensor;
+    limits: (tolerance, beam radius, sine of the largest half angle, largest tangent of the incidence angle);
+    max_blocked: the search ends when more lines are blocked; grid: the tables of a DirectionGrid (lines (L, 4) ...);
+    found: blocker (N,), by the line's name, the nearest point that blocks it, or -1; blocker_range (N,), its range;
+    observed (L,), by its place in the grid, whether any point that may block lies along the line.
+    A point p blocks the line to q if the line passes within the beam radius of it, its range is smaller than q's by
+    more than the tolerance plus what the surface at q may rise within that radius, and neither surface's tangent
+    plane contains the other point within the tolerance.
     """
+    lines, _, _, cell_starts, rows, columns = grid
+    radius, max_sine = limits[1], limits[2]
+    x, y, z, names = np.empty(_AT_ONCE), np.empty(_AT_ONCE), np.empty(_AT_ONCE), np.empty(_AT_ONCE + 1, np.int64)
+    bounds, sizes = np.empty((4, _AT_ONCE), np.int32), np.empty((3, _AT_ONCE))
+    of_point, of_line = np.empty(_HITS + 1, np.uint32), np.empty(_HITS + 1, np.uint32)
+    hits, batch = (of_point, of_line), (names, x, y, z, sizes)
+    num_blocked, next_point = 0, 0
+    while next_point < nearest.shape[0] and num_blocked <= max_blocked:
+        num, next_point = place_alone(T, points, nearest, origin, next_point, names, x, y, z)
+        fill_bounds(x[:num], y[:num], z[:num], radius, max_sine, float(rows), float(columns), bounds, sizes)
+        num_hits = 0
+        for k in range(num):
+            px, py, pz, sq_p, sq_limit = x[k], y[k], z[k], sizes[0, k], sizes[2, k]
+            if sizes[1, k] <= radius:
+                continue
+            for column in range(bounds[2, k], bounds[3, k] + 1):
+                begin, end = cell_range(column, bounds, k, rows, columns, cell_starts)
+                for i in range(np.uint64(begin), np.uint64(end)):  # no branch on what is found: it cannot be foretold
+                    q_range = lines[i, 3]
+                    dot = px * lines[i, 0] + py * lines[i, 1] + pz * lines[i, 2]
+                    of_point[num_hits], of_line[num_hits] = k, i
+                    num_hits += (dot > 0.0) & (sq_p - dot * dot / (q_range * q_range) <= sq_limit)
+                    if num_hits == _HITS:
+                        num_blocked += judge_hits(num_hits, hits, batch, T, normals, limits, grid, found)
+                        num_hits = 0
+        num_blocked += judge_hits(num_hits, hits, batch, T, normals, limits, grid, found)
+    return num_blocked
+
+
+@_jit
+def collect(blocker, sectors, blocked, blockers, per_sector):  # type: ignore[no-untyped-def]
+    """blocked, blockers (B + 1,): the B lines (N,) that have a blocker, and it; per_sector (S,): how many of them."""
+    num = 0
+    for i in range(blocker.shape[0]):
+        blocked[num], blockers[num] = i, blocker[i]
+        num += blocker[i] >= 0
+    for n in range(num):
+        per_sector[sectors[blocked[n]]] += 1
+
+
+@_jit
+def find_free_blocked(T, points, normals, nearest, origin, limits, grid, met):  # type: ignore[no-untyped-def]
+    """met (F,): whether a free ray of the grid meets a placed point that the sensor would have seen.
+
+    T, points, normals, nearest, origin, grid: as in find_blockers; limits: (beam radius, sine of its largest half
+    angle, smallest range, range of a surface met head on, largest tangent of the incidence angle).
+    """
+    rays, _, _, cell_starts, rows, columns = grid
     radius, max_sine, min_range, reach, max_tangent = limits[0], limits[1], limits[2], limits[3], limits[4]
     min_cosine = 1.0 / np.sqrt(1.0 + max_tangent * max_tangent)
-    x, y, z, bounds = np.empty(_AT_ONCE), np.empty(_AT_ONCE), np.empty(_AT_ONCE), np.empty((4, _AT_ONCE))
-    for m in range(placed.shape[0]):
-        k = m % _AT_ONCE
-        if k == 0:
-            num = fill_relative(placed, origin, m, x, y, z)
-            fill_bounds(x[:num], y[:num], z[:num], radius, max_sine, float(rows), float(columns), bounds)
-        px, py, pz = x[k], y[k], z[k]
-        sq_p = px * px + py * py + pz * pz
-        p_range = np.sqrt(sq_p)
-        if p_range <= radius or not min_range <= p_range <= reach:
-            continue
-        cosine = abs(turned[m, 0] * px + turned[m, 1] * py + turned[m, 2] * pz) / p_range
-        if cosine < min_cosine or sq_p > cosine * reach * reach:
-            continue
-        sq_limit = min(radius, p_range * max_sine) ** 2
-        for row in range(int(bounds[0, k]), int(bounds[1, k]) + 1):
-            for part in range(2 if bounds[3, k] >= columns or bounds[2, k] < 0.0 else 1):
-                begin, end = cell_range(row, bounds, k, columns, cell_starts, part)
+    x, y, z, names = np.empty(_AT_ONCE), np.empty(_AT_ONCE), np.empty(_AT_ONCE), np.empty(_AT_ONCE + 1, np.int64)
+    bounds, sizes = np.empty((4, _AT_ONCE), np.int32), np.empty((3, _AT_ONCE))
+    next_point = 0
+    while next_point < nearest.shape[0]:
+        num, next_point = place_alone(T, points, nearest, origin, next_point, names, x, y, z)
+        fill_bounds(x[:num], y[:num], z[:num], radius, max_sine, float(rows), float(columns), bounds, sizes)
+        for k in range(num):
+            px, py, pz = x[k], y[k], z[k]
+            sq_p = px * px + py * py + pz * pz
+            p_range = np.sqrt(sq_p)
+            if p_range <= radius or not min_range <= p_range <= reach:
+                continue
+            cosine = abs(turned_dot(T, normals[names[k]], px, py, pz)) / p_range
+            if cosine < min_cosine or sq_p > cosine * reach * reach:
+                continue
+            sq_limit = min(radius, p_range * max_sine) ** 2
+            for column in range(bounds[2, k], bounds[3, k] + 1):
+                begin, end = cell_range(column, bounds, k, rows, columns, cell_starts)
                 for i in range(begin, end):
                     dot = px * rays[i, 0] + py * rays[i, 1] + pz * rays[i, 2]
                     if dot > 0.0 and sq_p - dot * dot <= sq_limit:
-                        met[order[i]] = True
+                        met[i] = True

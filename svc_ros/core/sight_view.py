@@ -7,11 +7,12 @@ are always looked at (paper, Algorithm 1). The published rule, to the letter, is
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from svc_ros.core import se3, sight_kernels
 from svc_ros.core.config import SightViewConfig
@@ -19,18 +20,14 @@ from svc_ros.core.evidence import SightLines, SightViewEvidence
 from svc_ros.core.free_space import count_free_blocked
 from svc_ros.core.neighbours import direction_grid, nearest_grid
 from svc_ros.core.parallel import on_all_processors
-from svc_ros.core.placement import Placement, place
+from svc_ros.core.placement import Placement, Shares, place
 from svc_ros.core.prescore import thinned_scan
 from svc_ros.core.scan import Array, IndexArray, PreparedScan
 
 Allowance = Callable[[float], float]
+Way = tuple[PreparedScan, PreparedScan, Array]
 _GLIMPSE_POINTS = 2500
 _GLIMPSE_ERROR = 0.06  # six standard deviations of a share found with so many points
-
-
-def allow_all(oriented_overlap_ratio: float) -> float:
-    """No bound: every blocked line is found."""
-    return math.inf
 
 
 def gather_evidence(
@@ -38,25 +35,65 @@ def gather_evidence(
     target: PreparedScan,
     T_target_source: Array,
     config: SightViewConfig,
-    allowance: Allowance = allow_all,
+    allowance: Allowance | None = None,
 ) -> SightViewEvidence:
     """Look along the sight lines of both scans with the other one placed by the pose.
 
-    allowance: from the oriented overlap ratio, which is known first, to the blocked share beyond which the pose is of
-    no interest; the look ends there, and its evidence is not `complete`: at least so many lines are blocked, or, where
-    the allowance is below zero, none was looked at and the shares are bounds, found with few points.
+    allowance: from the oriented overlap ratio to the blocked share beyond which the pose is of no interest; the look
+    ends there, and its evidence is not `complete`: at least so many lines are blocked, and the shares are bounds, found
+    one way only or with few points. Below zero none is looked at.
     """
-    if allowance(0.0) < 0.0:  # whether it is of interest at all depends on the overlap, which few points tell
-        for shares in _glimpses(source, target, T_target_source, config):
-            if allowance(shares[1] + _GLIMPSE_ERROR) < 0.0:
-                return SightViewEvidence(_unseen(target), _unseen(source), *shares)
-    ways = ((target, source, T_target_source), (source, target, se3.invert(T_target_source)))
-    in_target, in_source = on_all_processors(lambda way: place(*way, config), ways)
-    shares = np.minimum(in_target.shares(), in_source.shares()).tolist()
-    allowed = allowance(shares[1])
-    target_lines = find_blocked(target, in_target, config, allowed)
-    source_lines = find_blocked(source, in_source, config, allowed if target_lines.complete else -1.0)
-    return SightViewEvidence(target_lines, source_lines, *shares)
+    if allowance is None:
+        return look_both_ways(source, target, T_target_source, config)[0]
+    return _look_within(_both_ways(source, target, T_target_source), config, allowance)
+
+
+def look_both_ways(
+    source: PreparedScan, target: PreparedScan, T_target_source: Array, config: SightViewConfig
+) -> tuple[SightViewEvidence, Placement]:
+    """The whole evidence of a pose, and the source placed in the target's frame."""
+
+    def look(way: Way) -> tuple[Placement, SightLines]:
+        placement = place(*way, config)
+        return placement, find_blocked(way[0], placement, config)
+
+    ways = _both_ways(source, target, T_target_source)
+    (in_target, target_lines), (in_source, source_lines) = on_all_processors(look, ways)
+    return SightViewEvidence(target_lines, source_lines, *map(min, in_target.shares(), in_source.shares())), in_target
+
+
+def _look_within(ways: tuple[Way, Way], config: SightViewConfig, allowance: Allowance) -> SightViewEvidence:
+    """One way after the other, until more is blocked than allowed.
+
+    Where it depends on the overlap whether anything is, few points are placed first: they tell it to _GLIMPSE_ERROR.
+    """
+    seen = [_unseen(observer) for observer, _, _ in ways]
+    shares: Shares | None = None
+    for k, (observer, other, T) in enumerate(ways):
+        if allowance(0.0) < 0.0:
+            glimpsed = place(observer, thinned_scan(other, _GLIMPSE_POINTS), T, config).shares()
+            if allowance(glimpsed[1] + _GLIMPSE_ERROR) < 0.0:
+                shares = _smaller(shares, glimpsed)
+                break
+        placement = place(observer, other, T, config)
+        shares = _smaller(shares, placement.shares())
+        allowed = allowance(shares[1])
+        seen[k] = find_blocked(observer, placement, config, allowed)
+        if not seen[k].complete or any(lines.blocked_ratio > allowed for lines in seen):
+            seen[k] = dataclasses.replace(seen[k], complete=False)
+            break
+    assert shares is not None
+    return SightViewEvidence(seen[0], seen[1], *shares)
+
+
+def _smaller(known: Shares | None, found: Shares) -> Shares:
+    """Both scans have the smaller shares in common."""
+    return found if known is None else tuple(map(min, known, found))
+
+
+def _both_ways(source: PreparedScan, target: PreparedScan, T_target_source: Array) -> tuple[Way, Way]:
+    """Who looks, whom it looks at, and where that one stands in its frame."""
+    return (target, source, T_target_source), (source, target, se3.invert(T_target_source))
 
 
 def index(scan: PreparedScan, config: SightViewConfig) -> None:
@@ -65,22 +102,20 @@ def index(scan: PreparedScan, config: SightViewConfig) -> None:
     direction_grid(scan)
     _sectors(scan, config)
     thinned_scan(scan, _GLIMPSE_POINTS)
+    scan.memo["indexed"] = True
 
 
-def _glimpses(
-    source: PreparedScan, target: PreparedScan, T_target_source: Array, config: SightViewConfig
-) -> Iterator[list[float]]:
-    """The shares of each way, from a few points of either scan: within _GLIMPSE_ERROR of the true ones.
-
-    Both scans have the smaller ones in common: one way can be enough to know that these are too small.
-    """
-    yield place(target, thinned_scan(source, _GLIMPSE_POINTS), T_target_source, config).shares().tolist()
-    yield place(source, thinned_scan(target, _GLIMPSE_POINTS), se3.invert(T_target_source), config).shares().tolist()
+def is_indexed(scan: PreparedScan) -> bool:
+    """Whether that was done."""
+    return "indexed" in scan.memo
 
 
 def _unseen(observer: PreparedScan) -> SightLines:
-    nothing = np.zeros(0, np.int64)
-    return SightLines(len(observer), 0, nothing, nothing, complete=False)
+    if "unseen" not in observer.memo:
+        nothing = np.zeros(0, np.int64)
+        observer.memo["unseen"] = SightLines(len(observer), 0, nothing, nothing, complete=False)
+    lines: SightLines = observer.memo["unseen"]
+    return lines
 
 
 def cone_half_angle_deg(observer: PreparedScan, config: SightViewConfig) -> float:
@@ -95,48 +130,59 @@ def find_blocked(
 
     The search ends as soon as more than that share of the lines is blocked.
     """
+    if max_blocked_ratio < 0.0:
+        return _unseen(observer)
     grid, num = direction_grid(observer), len(observer)
     max_blocked = math.floor(max_blocked_ratio * num) if max_blocked_ratio < 1.0 else num
-    blocker, blocker_range, observed = np.full(num, -1, np.int64), np.empty(num), np.zeros(num, bool)
-    limits = np.array(
-        [config.tolerance_m, config.beam_radius_voxels * observer.voxel_size_m,
-         np.sin(np.radians(cone_half_angle_deg(observer, config))), np.tan(np.radians(config.max_incidence_deg))]
+    blocker, blocker_range, observed = np.full(num, -1, np.int32), np.empty(num), np.zeros(len(grid.order), bool)
+    limits = (
+        config.tolerance_m, config.beam_radius_voxels * observer.voxel_size_m,
+        math.sin(math.radians(cone_half_angle_deg(observer, config))), math.tan(math.radians(config.max_incidence_deg)),
     )  # fmt: skip
-    num_blocked = 0
-    if max_blocked >= 0:
-        num_blocked = sight_kernels.find_blockers(
-            placement.alone, placement.alone_normals, observer.sensor_origin, limits, max_blocked,
-            grid.lines, grid.order, grid.cell_starts, grid.rows, grid.columns, blocker, blocker_range, observed,
-        )  # fmt: skip
-    blocked = np.flatnonzero(blocker >= 0)
-    scattered = count_scattered(_sectors(observer, config), blocked, config)
-    complete = 0 <= num_blocked <= max_blocked
+    num_blocked = sight_kernels.find_blockers(
+        placement.T_observer_other, placement.other.points, placement.other.normals, placement.nearest,
+        observer.sensor_origin, limits, max_blocked, grid.tables, (blocker, blocker_range, observed),
+    )  # fmt: skip
+    sectors = _sectors(observer, config)
+    blocked, blockers = np.empty((2, num_blocked + 1), np.int64)
+    per_sector = np.zeros(len(sectors.num_lines), np.int64)
+    sight_kernels.collect(blocker, sectors.of_line, blocked, blockers, per_sector)
+    scattered = count_scattered(per_sector.tolist(), sectors, config)
+    complete = num_blocked <= max_blocked
     num_free = len(observer.free_directions) if complete else 0
     free_blocked = count_free_blocked(observer, placement, config) if num_free else 0
     return SightLines(
-        num, int(observed.sum()), blocked, placement.alone_idx[blocker[blocked]], scattered, complete,
+        num, int(np.count_nonzero(observed)), blocked[:num_blocked], blockers[:num_blocked], scattered, complete,
         num_free, free_blocked,
     )  # fmt: skip
 
 
-def _sectors(observer: PreparedScan, config: SightViewConfig) -> IndexArray:
-    """Azimuth sector (N,) of each of the observer's lines, found once a scan."""
+class Sectors(NamedTuple):
+    """Azimuth sector (N,) of each of an observer's lines, how many lines (S,) each holds, and how many hold any."""
+
+    of_line: IndexArray
+    num_lines: IndexArray
+    num_seen: int
+
+
+def _sectors(observer: PreparedScan, config: SightViewConfig) -> Sectors:
+    """Found once a scan."""
     key = ("sectors", config.sector_deg)
     if key not in observer.memo:
-        observer.memo[key] = azimuth_sectors(observer.points - observer.sensor_origin, config)
-    sectors: IndexArray = observer.memo[key]
+        observer.memo[key] = find_sectors(observer.points - observer.sensor_origin, config)
+    sectors: Sectors = observer.memo[key]
     return sectors
 
 
-def azimuth_sectors(relative_points: Array, config: SightViewConfig) -> IndexArray:
-    """Sector (N,) of points (N, 3) [m] given relative to the sensor."""
+def find_sectors(relative_points: Array, config: SightViewConfig) -> Sectors:
+    """The sectors of points (N, 3) [m] given relative to the sensor."""
     azimuth = np.degrees(np.arctan2(relative_points[:, 1], relative_points[:, 0])) + 180.0
-    return np.floor(azimuth / config.sector_deg).astype(np.int64)
+    of_line = np.floor(azimuth / config.sector_deg).astype(np.int64)
+    num_lines = np.bincount(of_line)
+    return Sectors(of_line, num_lines, int(np.count_nonzero(num_lines)))
 
 
-def count_scattered(sectors: IndexArray, blocked_idx: NDArray[np.int64], config: SightViewConfig) -> int:
-    """Blocked lines outside the most blocked azimuth sectors; of a narrow view at most an eighth is left out."""
-    num_seen = int(np.count_nonzero(np.bincount(sectors)))
-    forgiven = min(config.forgiven_sectors, num_seen // 8)
-    counts = np.sort(np.bincount(sectors[blocked_idx]))
-    return int(counts[: max(len(counts) - forgiven, 0)].sum())
+def count_scattered(per_sector: Sequence[int], sectors: Sectors, config: SightViewConfig) -> int:
+    """Blocked lines (S,) outside the most blocked azimuth sectors; of a narrow view at most an eighth is left out."""
+    forgiven = min(config.forgiven_sectors, sectors.num_seen // 8)
+    return sum(sorted(per_sector)[: max(len(per_sector) - forgiven, 0)])

@@ -1,0 +1,37 @@
+"""Normal equations of point-to-plane residuals, compiled by numba; no GIL, no state. Twins in test/reference.py."""
+
+from __future__ import annotations
+
+from numba import njit
+
+_jit = njit(nogil=True, cache=True, error_model="numpy", fastmath={"reassoc", "nsz"})  # sums of several at once
+
+
+@_jit
+def fill_rows(T, pairs, rows):  # type: ignore[no-untyped-def]
+    """rows (7, P): J = [n, p x n] and the negative residual -r of every pair.
+
+    pairs (9, P): point, plane point and the plane's normal n; p: the point, placed by T (4, 4); r: n . (p - q).
+    """
+    for m in range(pairs.shape[1]):
+        x, y, z = pairs[0, m], pairs[1, m], pairs[2, m]
+        px = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
+        py = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
+        pz = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+        a, b, c = pairs[6, m], pairs[7, m], pairs[8, m]
+        rows[0, m], rows[1, m], rows[2, m] = a, b, c
+        rows[3, m], rows[4, m], rows[5, m] = py * c - pz * b, pz * a - px * c, px * b - py * a
+        rows[6, m] = a * (pairs[3, m] - px) + b * (pairs[4, m] - py) + c * (pairs[5, m] - pz)
+
+
+@_jit
+def sum_up(rows, system):  # type: ignore[no-untyped-def]
+    """Add the normal equations J^T J | -J^T r to the upper triangle of system (6, 7); returns the sum of r^2."""
+    for k in range(7):
+        for n in range(k, 7):
+            total = 0.0
+            for m in range(rows.shape[1]):
+                total += rows[k, m] * rows[n, m]
+            if k < 6:
+                system[k, n] += total
+    return total
