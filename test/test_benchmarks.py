@@ -229,6 +229,9 @@ def test_calls_take_turns_and_the_first_one_changes():
     assert {name: len(values) for name, values in times.items()} == {"a": 2, "b": 2, "c": 2}
     assert [called[k] for k in range(3)] == ["a", "b", "c"]
     assert _timing.rotated("abc", 4) == ["b", "c", "a"]
+    called.clear()
+    _timing.time_in_turns(jobs, 2, calls=5)
+    assert {name: called.count(name) for name in jobs} == dict.fromkeys("abc", 1 + 2 * 5)
 
 
 def test_exponent_is_the_slope_of_the_logarithms():

@@ -133,3 +133,20 @@ def test_kabsch_ignores_points_of_no_weight():
 def test_kabsch_of_no_sets_is_no_pose():
     poses, valid = se3.kabsch(np.zeros((0, 20, 3)), np.zeros((0, 20, 3)), np.zeros((0, 20)))
     assert (poses.shape, valid.shape) == ((0, 4, 4), (0,))
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-12, 1e-6, 1e-3, 0.05, 0.3])
+def test_the_nearest_pose_is_that_of_the_singular_values(size):
+    rng = np.random.default_rng(4)
+    for R in Rotation.random(20, random_state=2).as_matrix():
+        rough = se3.make_pose(R + size * rng.uniform(-1, 1, (3, 3)), (1.0, -2.0, 3.0))
+        U, _, Vt = np.linalg.svd(rough[:3, :3])
+        found = se3.nearest_pose(rough)
+        np.testing.assert_allclose(found[:3, :3], U @ Vt, atol=3e-15)
+        np.testing.assert_allclose(found[:3, :3] @ found[:3, :3].T, np.eye(3), atol=2e-15)
+        np.testing.assert_array_equal(found[:3, 3], rough[:3, 3])
+
+
+def test_a_mirrored_matrix_becomes_a_rotation():
+    found = se3.nearest_pose(np.diag([1.0, 1.0, -1.0, 1.0]))
+    assert np.linalg.det(found[:3, :3]) == pytest.approx(1.0)

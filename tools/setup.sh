@@ -48,6 +48,7 @@ pip_install --no-build-isolation -e ".[$extras]"
 tools/system_libraries.sh .venv/bin/python
 tools/chromium.sh
 echo "compiling the kernels, once"
+find svc_ros -name "*.nb[ic]" -delete  # numba looks at the file of a kernel only, not at those that it calls
 .venv/bin/python -c "
 from svc_ros.core.config import preset
 from svc_ros.ros.registrar import warm_up

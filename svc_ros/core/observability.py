@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from svc_ros.core import placement_kernels
+from svc_ros.core import placement_kernels, plane_kernels
 from svc_ros.core.config import SightViewConfig
 from svc_ros.core.decision_config import CovarianceConfig
 from svc_ros.core.placement import Placement
@@ -44,10 +44,11 @@ class SurfaceContact:
 
     def _resistance(self) -> tuple[Array, Array]:
         """Resistance (3,) ascending and unit directions (3, 3) by rows, each with its largest entry positive."""
-        strength, axes = np.linalg.eigh(self.information[:3, :3] / max(self.num_points, 1))
-        rows = axes.T
-        largest = rows[np.arange(3), np.abs(rows).argmax(1)]
-        return np.maximum(strength, 0.0), rows * np.where(largest < 0, -1.0, 1.0)[:, None]
+        axes = np.empty((3, 3))
+        strength = plane_kernels.find_axes(self.information[:3, :3] / max(self.num_points, 1), axes)
+        for axis in axes:
+            axis *= math.copysign(1.0, max(axis.tolist(), key=abs))
+        return np.maximum(strength, 0.0), axes
 
     def covariance(self, config: CovarianceConfig) -> Array:
         """Covariance (6, 6) of the pose: x y z [m], rotations about x y z [rad], left perturbation, target frame.

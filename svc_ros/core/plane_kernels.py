@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 from numba import njit
 
 _jit = njit(nogil=True, cache=True, error_model="numpy", fastmath={"reassoc", "nsz"})  # sums of several at once
+
+_SWEEPS = 8  # each doubles the digits
 
 
 @_jit
@@ -35,3 +38,31 @@ def sum_up(rows, system):  # type: ignore[no-untyped-def]
             if k < 6:
                 system[k, n] += total
     return total
+
+
+@_jit
+def find_axes(A, axes):  # type: ignore[no-untyped-def]
+    """Eigenvalues of a symmetric matrix (3, 3), ascending, and unit eigenvectors, the rows of axes (3, 3).
+
+    By rotations (Jacobi). A is overwritten.
+    """
+    V = np.eye(3)
+    for _ in range(_SWEEPS):
+        for i in range(2):
+            for j in range(i + 1, 3):
+                if A[i, j] == 0.0:
+                    continue
+                ratio = (A[j, j] - A[i, i]) / (2.0 * A[i, j])
+                tangent = (1.0 if ratio >= 0.0 else -1.0) / (abs(ratio) + np.sqrt(ratio * ratio + 1.0))
+                cosine = 1.0 / np.sqrt(tangent * tangent + 1.0)
+                sine = tangent * cosine
+                for k in range(3):
+                    A[k, i], A[k, j] = cosine * A[k, i] - sine * A[k, j], sine * A[k, i] + cosine * A[k, j]
+                for k in range(3):
+                    A[i, k], A[j, k] = cosine * A[i, k] - sine * A[j, k], sine * A[i, k] + cosine * A[j, k]
+                    V[k, i], V[k, j] = cosine * V[k, i] - sine * V[k, j], sine * V[k, i] + cosine * V[k, j]
+    values = np.array([A[0, 0], A[1, 1], A[2, 2]])
+    order = np.argsort(values)
+    for n in range(3):
+        axes[n] = V[:, order[n]]
+    return values[order]

@@ -6,6 +6,8 @@ Batches carry the pose index first, (H, 4, 4). Angles leave this module in degre
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -14,6 +16,7 @@ from svc_ros.core.errors import InputError
 Array = NDArray[np.float64]
 
 _ROTATION_TOLERANCE = 1e-4  # accepts matrices printed with five digits
+_NEARLY, _EXACT, _STEPS = 0.3, 4e-16, 8  # a rotation but for rounding: then a few steps lead to the nearest one
 _RANK_TOLERANCE = 1e-6  # second singular value over the first, below which a point set is a line
 
 
@@ -54,9 +57,11 @@ def rotation_angle_deg(R: ArrayLike) -> Array:
 
 def pose_error(T_estimate: ArrayLike, T_reference: ArrayLike) -> tuple[float, float]:
     """Rotation error [deg] and translation error [m] of an estimate (paper: RE and TE)."""
-    A, B = np.asarray(T_estimate, np.float64), np.asarray(T_reference, np.float64)
-    angle = float(rotation_angle_deg(A[:3, :3].T @ B[:3, :3]))
-    return angle, float(np.linalg.norm(A[:3, 3] - B[:3, 3]))
+    A, B = np.asarray(T_estimate, np.float64).tolist(), np.asarray(T_reference, np.float64).tolist()
+    R = [[sum(A[k][i] * B[k][j] for k in range(3)) for j in range(3)] for i in range(3)]
+    sine = 0.5 * math.hypot(R[2][1] - R[1][2], R[0][2] - R[2][0], R[1][0] - R[0][1])
+    cosine = 0.5 * (R[0][0] + R[1][1] + R[2][2] - 1.0)
+    return math.degrees(math.atan2(sine, cosine)), math.dist([row[3] for row in A[:3]], [row[3] for row in B[:3]])
 
 
 def check_pose(T: ArrayLike, name: str = "T_target_source") -> Array:
@@ -71,8 +76,8 @@ def check_pose(T: ArrayLike, name: str = "T_target_source") -> Array:
         raise InputError(f"{name}: expected finite numbers, found NaN or inf")
     if np.abs(pose[3] - (0, 0, 0, 1)).max() > _ROTATION_TOLERANCE:
         raise InputError(f"{name}: expected the last row 0 0 0 1, found {pose[3].tolist()}")
-    R = pose[:3, :3]
-    if np.abs(R @ R.T - np.eye(3)).max() > 10 * _ROTATION_TOLERANCE or np.linalg.det(R) < 0:
+    R = pose[:3, :3].tolist()
+    if _gap(_gram(R)) > 10 * _ROTATION_TOLERANCE or _determinant(R) < 0:
         raise InputError(f"{name}: its upper left 3x3 block is not a rotation")
     return pose
 
@@ -80,9 +85,34 @@ def check_pose(T: ArrayLike, name: str = "T_target_source") -> Array:
 def nearest_pose(T: ArrayLike) -> Array:
     """Project the rotation block of (4, 4) onto SO(3): undoes the rounding of poses read from text."""
     T = np.asarray(T, np.float64)
-    U, _, Vt = np.linalg.svd(T[:3, :3])
-    U[:, 2] *= np.sign(np.linalg.det(U @ Vt))
-    return make_pose(U @ Vt, T[:3, 3])
+    R = T[:3, :3].tolist()
+    gram = _gram(R)
+    if not (_gap(gram) < _NEARLY and _determinant(R) > 0.0):
+        U, _, Vt = np.linalg.svd(T[:3, :3])
+        U[:, 2] *= np.sign(np.linalg.det(U @ Vt))
+        return make_pose(U @ Vt, T[:3, 3])
+    for _ in range(_STEPS):  # Newton and Schulz: twice the digits in every step
+        if _gap(gram) < _EXACT:
+            break
+        step = [[(1.5 if i == j else 0.0) - 0.5 * gram[i][j] for j in range(3)] for i in range(3)]
+        R = [[sum(row[k] * step[k][j] for k in range(3)) for j in range(3)] for row in R]
+        gram = _gram(R)
+    return make_pose(R, T[:3, 3])
+
+
+def _gram(R: list[list[float]]) -> list[list[float]]:
+    """R^T R. A few numbers without a library call: that costs more where it has not been made just before."""
+    return [[sum(R[k][i] * R[k][j] for k in range(3)) for j in range(3)] for i in range(3)]
+
+
+def _gap(gram: list[list[float]]) -> float:
+    """How far from the identity its worst entry is."""
+    return max(abs(gram[i][j] - (i == j)) for i in range(3) for j in range(3))
+
+
+def _determinant(R: list[list[float]]) -> float:
+    (a, b, c), (d, e, f), (g, h, i) = R
+    return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
 def kabsch(source: ArrayLike, target: ArrayLike, weights: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
