@@ -23,7 +23,7 @@ OURS, TWIN, PAPER, PAPER_TWIN = "svc_ros", "cKDTree", "paper, svc_ros", "paper, 
 DENSE = "dense numpy"
 Look = tuple[SightLines, Array]
 _ROUNDED = 5e-4
-_CALLS = 30  # of every check in its turn, whatever its size
+_CALLS = 15  # of every check in its turn, whatever its size
 
 
 class DisagreementError(RuntimeError):

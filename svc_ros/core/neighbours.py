@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from svc_ros.core import direction_kernels, nearest_kernels, neighbour_kernels
 from svc_ros.core.scan import Array, IndexArray, PreparedScan
 
-_CELL_HEIGHT_DEG, _CELL_WIDTH_DEG = 0.2, 2.0  # at the horizon
+_CELL_HEIGHT_DEG, _CELL_WIDTH_DEG = 0.2, 1.5  # at the horizon
 _MIN_RANGE_M = 1e-9
 _MAX_CELLS_ALONG = 1000  # a scan that is larger gets larger cells
 _LOWEST_CELL = 0.01  # of a column's edge: a cell's height at least
