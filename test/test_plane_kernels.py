@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from svc_ros.core import se3
-from svc_ros.core.plane_kernels import fill_rows, find_axes, sum_up
+from svc_ros.core.plane_kernels import fill_rows, find_axes, sum_squared, sum_up
 
 POSE = se3.make_pose(Rotation.from_euler("zyx", [20, 3, -2], degrees=True).as_matrix(), (1.0, -0.5, 0.2))
 
@@ -28,6 +28,7 @@ def test_normal_equations_equal_dense_matrices(num):
     expected = np.triu(np.column_stack((J.T @ J, -J.T @ residuals)))
     np.testing.assert_allclose(np.triu(system), expected, atol=1e-11 * size)
     assert squared == pytest.approx(float(residuals @ residuals))
+    assert sum_squared(POSE, pairs) == pytest.approx(float(residuals @ residuals))
     sum_up(rows, system)  # a second time: it adds
     np.testing.assert_allclose(np.triu(system), 2 * expected, atol=1e-11 * size)
 

@@ -7,10 +7,9 @@ from numba import njit
 
 from svc_ros.core.nearest_kernels import find_nearest
 from svc_ros.core.placement_kernels import AT_ONCE, move
-from svc_ros.core.plane_kernels import fill_rows, sum_up
+from svc_ros.core.plane_kernels import fill_rows, sum_squared, sum_up
 
 _jit = njit(nogil=True, cache=True, error_model="numpy")
-_sum_jit = njit(nogil=True, cache=True, error_model="numpy", fastmath={"reassoc", "nsz"})  # several at once
 
 _FIRST_DAMPING, _DAMPING_FACTOR, _TRIALS = 1e-3, 10.0, 10
 _SMALL_SHIFT, _SMALL_TURN = 2e-3, 4e-4  # a step of less [m], [rad] a metre of the radius ends the search
@@ -38,7 +37,7 @@ def align(T, source, normals, target, radius, grid, rounds):  # type: ignore[no-
             if not _solve(system, damping, step):
                 return done + 1
             _move(step, T, moved)
-            if _error(moved, pairs[:, :num]) <= error:
+            if sum_squared(moved, pairs[:, :num]) <= error:
                 better = True
                 break
             damping *= _DAMPING_FACTOR
@@ -73,19 +72,6 @@ def _sum_up(T, pairs, rows, system):  # type: ignore[no-untyped-def]
         end = min(begin + AT_ONCE, pairs.shape[1])
         fill_rows(T, pairs[:, begin:end], rows)
         error += sum_up(rows[:, : end - begin], system)
-    return error
-
-
-@_sum_jit
-def _error(T, pairs):  # type: ignore[no-untyped-def]
-    """Sum of squared residuals of the pairs (9, P) by the pose T (4, 4)."""
-    error = 0.0
-    for m in range(pairs.shape[1]):
-        x, y, z = pairs[0, m], pairs[1, m], pairs[2, m]
-        residual = pairs[6, m] * (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3] - pairs[3, m])
-        residual += pairs[7, m] * (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3] - pairs[4, m])
-        residual += pairs[8, m] * (T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3] - pairs[5, m])
-        error += residual * residual
     return error
 
 

@@ -41,6 +41,19 @@ def sum_up(rows, system):  # type: ignore[no-untyped-def]
 
 
 @_jit
+def sum_squared(T, pairs):  # type: ignore[no-untyped-def]
+    """Sum of squared residuals of the pairs (9, P) by the pose T (4, 4)."""
+    error = 0.0
+    for m in range(pairs.shape[1]):
+        x, y, z = pairs[0, m], pairs[1, m], pairs[2, m]
+        residual = pairs[6, m] * (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3] - pairs[3, m])
+        residual += pairs[7, m] * (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3] - pairs[4, m])
+        residual += pairs[8, m] * (T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3] - pairs[5, m])
+        error += residual * residual
+    return error
+
+
+@_jit
 def find_axes(A, axes):  # type: ignore[no-untyped-def]
     """Eigenvalues of a symmetric matrix (3, 3), ascending, and unit eigenvectors, the rows of axes (3, 3).
 

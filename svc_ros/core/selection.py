@@ -22,7 +22,7 @@ from svc_ros.core.prescore import thinned_scan
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Array, Correspondences, HypothesisSet, PreparedScan
 from svc_ros.core.se3 import pose_error
-from svc_ros.core.sight_view import Allowance, gather_evidence, index, is_indexed, look_both_ways
+from svc_ros.core.sight_view import Allowance, gather_evidence, index, look_both_ways
 from svc_ros.core.stopwatch import Stopwatch
 
 _HOPELESS = float(np.log(8.0))  # a pose that promises less by this can neither win nor cast doubt on the winner
@@ -62,8 +62,7 @@ class Pair:
             return [self.look(poses[0])]
         view = self.config.sight_view
         with self.watch.stage("sight_view"):
-            new = [scan for scan in (self.source, self.target) if not is_indexed(scan)]
-            on_all_processors(lambda scan: index(scan, view), new)
+            index((self.source, self.target), view)
             return on_all_processors(
                 lambda job: gather_evidence(self.source, self.target, job[0], view, job[1]),
                 zip(poses, allowances, strict=True),
@@ -165,7 +164,7 @@ def _look_roughly(pair: Pair, starts: Array) -> tuple[Array, Array]:
     """
     limits, view = pair.config.shortlist, pair.config.sight_view
     source, target = (thinned_scan(scan, limits.rough_view_points) for scan in (pair.source, pair.target))
-    on_all_processors(lambda scan: index(scan, view), (source, target))
+    index((source, target), view)
     icp.index(pair.target, pair.config)
 
     def look(start: Array) -> tuple[Array, float]:

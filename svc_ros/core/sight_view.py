@@ -96,18 +96,18 @@ def _both_ways(source: PreparedScan, target: PreparedScan, T_target_source: Arra
     return (target, source, T_target_source), (source, target, se3.invert(T_target_source))
 
 
-def index(scan: PreparedScan, config: SightViewConfig) -> None:
-    """Build what looks at a scan need; they do so themselves, but several at once would each build their own."""
-    nearest_grid(scan, config.tolerance_m)
-    direction_grid(scan)
-    _sectors(scan, config)
-    thinned_scan(scan, _GLIMPSE_POINTS)
-    scan.memo["indexed"] = True
+def index(scans: Sequence[PreparedScan], config: SightViewConfig) -> None:
+    """Build what looks at scans need; they do so themselves, but several at once would each build their own."""
+    key = ("indexed", config.tolerance_m, config.sector_deg)
 
+    def build(scan: PreparedScan) -> None:
+        nearest_grid(scan, config.tolerance_m)
+        direction_grid(scan)
+        _sectors(scan, config)
+        thinned_scan(scan, _GLIMPSE_POINTS)
+        scan.memo[key] = True
 
-def is_indexed(scan: PreparedScan) -> bool:
-    """Whether that was done."""
-    return "indexed" in scan.memo
+    on_all_processors(build, [scan for scan in scans if key not in scan.memo])
 
 
 def _unseen(observer: PreparedScan) -> SightLines:
@@ -145,7 +145,7 @@ def find_blocked(
     )  # fmt: skip
     sectors = _sectors(observer, config)
     blocked, blockers = np.empty((2, num_blocked + 1), np.int64)
-    per_sector = np.zeros(len(sectors.num_lines), np.int64)
+    per_sector = np.zeros(sectors.num, np.int64)
     sight_kernels.collect(blocker, sectors.of_line, blocked, blockers, per_sector)
     scattered = count_scattered(per_sector.tolist(), sectors, config)
     complete = num_blocked <= max_blocked
@@ -158,10 +158,10 @@ def find_blocked(
 
 
 class Sectors(NamedTuple):
-    """Azimuth sector (N,) of each of an observer's lines, how many lines (S,) each holds, and how many hold any."""
+    """Azimuth sector (N,) of each of an observer's lines, how many sectors there are, and how many hold any line."""
 
     of_line: IndexArray
-    num_lines: IndexArray
+    num: int
     num_seen: int
 
 
@@ -179,7 +179,7 @@ def find_sectors(relative_points: Array, config: SightViewConfig) -> Sectors:
     azimuth = np.degrees(np.arctan2(relative_points[:, 1], relative_points[:, 0])) + 180.0
     of_line = np.floor(azimuth / config.sector_deg).astype(np.int64)
     num_lines = np.bincount(of_line)
-    return Sectors(of_line, num_lines, int(np.count_nonzero(num_lines)))
+    return Sectors(of_line, len(num_lines), int(np.count_nonzero(num_lines)))
 
 
 def count_scattered(per_sector: Sequence[int], sectors: Sectors, config: SightViewConfig) -> int:
