@@ -144,6 +144,9 @@ def decide(evidence: SightViewEvidence, config: DecisionConfig) -> Decision:
     agreeing = evidence.oriented_overlap_ratio
     if margins.smallest > 0:
         detail = f"free sight lines, oriented overlap {agreeing:.3f}"
+        if probability < config.min_probability:
+            why = f"probability {probability:.2f}, at least {config.min_probability:g} is asked for: {detail}"
+            return Decision(Verdict.UNDECIDED, Reason.INSUFFICIENT_EVIDENCE, probability, why)
         return Decision(Verdict.ACCEPTED, Reason.OK, probability, detail)
     if min(_plain_margins(evidence, config).smallest, _free_space_margin(evidence, config)) > 0:
         blocked = max(evidence.source_in_target.blocked_ratio, evidence.target_in_source.blocked_ratio)

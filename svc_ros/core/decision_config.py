@@ -31,6 +31,7 @@ class DecisionConfig(Group):
     weak_constraint: float = value(0.13, "surfaces that resist a shift less than this call for more", "", 0.0, 1.0)
     max_blocked_where_weak: float = value(0.045, "then: blocked share over oriented overlap", "", 1e-3, 10.0)
     min_tight_where_weak: float = value(0.70, "then: share of agreeing points within tau / 4", "", 0.0, 0.99)
+    min_probability: float = value(0.5, "a pose that is less probable is not accepted, but undecided", "", 0.5, 1.0)
     sharpness: float = value(2.0, "slope of the probability over the smallest margin", "", 0.1, 100.0)
     slip_m: float = value(2.4, "an accepted pose is shifted so far along its weak directions", "m", 0.01, 100.0)
     slip_score_ratio: float = value(0.68, "a slip scoring this share of the pose is as good", "", 0.0, 1.0)
