@@ -118,8 +118,9 @@ class SightViewConfig(Group):
     min_cone_deg: float = value(0.25, "the cap is never below this, however dense the beams", "deg", 0.01, 45.0)
     max_cone_deg: float = value(1.5, "the cap is never above this, however sparse the beams", "deg", 0.05, 45.0)
     max_incidence_deg: float = value(85.0, "cap of the angle between ray and normal (phi)", "deg", 0.0, 89.9)
-    sector_deg: float = value(10.0, "azimuth sectors in which blocked lines are counted", "deg", 1.0, 90.0)
-    forgiven_sectors: int = value(2, "most blocked sectors left out of the scattered share", "", 0, 36)
+    denied_margin: float = value(0.5, "surface so much of tau before what was seen is denied", "", 0.0, 10)
+    denied_margin_per_range: float = value(0.01, "and by this share of its range, as noise grows with it", "", 0.0, 1.0)
+    wide_cluster_deg: float = value(30.0, "denied clusters seen over less count for less", "deg", 1.0, 180.0)
     free_reach_m: float = value(30.0, "surface met head on is surely seen up to this", "m", 0.0, 1e4)
     same_side_cosine: float = value(0.3, "normals agree above this, are opposed below its negative", "", 0.0, 1.0)
 

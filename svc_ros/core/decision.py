@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from svc_ros.core.decision_config import DecisionConfig
-from svc_ros.core.evidence import SightLines, SightViewEvidence
+from svc_ros.core.evidence import SightViewEvidence
 from svc_ros.core.result import Reason, Verdict
-from svc_ros.core.sight_view import Allowance
 
-_TRAFFIC = 2.2  # factor on the blocked borders beyond which tight contact makes nothing good
-_TIGHT = 0.97  # a share beyond this is no better
-_HOPELESS = 0.5  # blocked share over overlap that no other evidence makes good
-_BLOCKED_WEIGHT = 1.5  # a blocked line counts as much as this many agreeing points
-_FLOOR = 1e-3  # smallest share that logarithms see; one sight line in a thousand
+_STRAY = 10  # denied points that no scan is free of: with little confirmed surface they are a large share
+_LEAST_DENIED = 2e-3  # less than that tells nothing any more
+_LEAST_STRUCTURE = 0.03  # added to the resistance, in whose logarithm next to none is not far from none
+_SLOPE = 2.0  # of log odds over the margins that are not fitted
+_DENIED_WEIGHT = 1.5  # a denied point counts as much as this many agreeing ones
+_FLOOR = 1e-3  # smallest share that logarithms see
 
 
 @dataclass(frozen=True)
@@ -31,12 +30,13 @@ class Decision:
 
 @dataclass(frozen=True)
 class Margins:
-    """How far the evidence lies on the good side of each border, as natural logarithms of ratios.
+    """How far the evidence lies on the good side of each border, as log odds; positive where it is kept.
 
-    free: blocked sight lines, filled free space; same_side: surfaces seen from both sides; overlap: agreeing surface,
-    enough of it and facing more than one way.
+    seen: denied surface against the structure of what agrees; free: filled free space (infinite where no sensor tells
+    any); same_side: surfaces seen from both sides; overlap: agreeing surface, enough of it, facing more than one way.
     """
 
+    seen: float
     free: float
     same_side: float
     overlap: float
@@ -44,85 +44,51 @@ class Margins:
     @property
     def smallest(self) -> float:
         """Positive where every border is kept."""
-        return min(self.free, self.same_side, self.overlap)
+        return min(self.seen, self.free, self.same_side, self.overlap)
 
 
 def score(evidence: SightViewEvidence) -> float:
-    """How good a refined pose looks: what overlaps on the same side, less what contradicts a sight line."""
-    blocked = evidence.source_in_target.blocked_ratio + evidence.target_in_source.blocked_ratio
-    return evidence.oriented_overlap_ratio - _BLOCKED_WEIGHT * blocked
-
-
-def score_allowance(least_score: float) -> Allowance:
-    """The blocked share beyond which a pose cannot reach that score."""
-    return lambda oriented_overlap_ratio: (oriented_overlap_ratio - least_score) / _BLOCKED_WEIGHT
-
-
-def blocked_allowance() -> Allowance:
-    """The blocked share beyond which no pose is accepted, nor casts doubt on another."""
-    return lambda oriented_overlap_ratio: _HOPELESS * max(oriented_overlap_ratio, _FLOOR)
+    """How good a refined pose looks: what overlaps on the same side, less what is denied."""
+    seen = (evidence.source_surface, evidence.target_surface)
+    denied = sum(surface.num_denied / max(surface.num_points, 1) for surface in seen)
+    return evidence.oriented_overlap_ratio - _DENIED_WEIGHT * denied
 
 
 def measure_margins(evidence: SightViewEvidence, config: DecisionConfig) -> Margins:
-    """Compare the evidence with the borders; what blocks and what is opposed counts in shares of what agrees.
+    """Compare the evidence with the borders.
 
-    Sight lines and contact are weighed together: traffic blocks many lines of a pose whose surfaces lie tightly on each
-    other, a room that looks alike blocks few and agrees loosely. Where the agreeing surfaces hardly resist a shift in
-    some direction (a corridor), many wrong poses agree, and each border has to be kept on its own as well.
+    What is denied is weighed together with the structure of the agreeing surface: a wrong pose finds agreement where
+    surfaces face one or two ways, seldom all, so that a pose that is held firmly may be denied more, as in traffic.
     """
-    plain = _plain_margins(evidence, config)
-    most = _free_margin(evidence, _TRAFFIC * config.max_blocked_per_overlap, config, _TRAFFIC)
-    free = min(_weigh(evidence, config) / config.sharpness, most, _free_space_margin(evidence, config))
-    if evidence.weakest_constraint >= config.weak_constraint:
-        return dataclasses.replace(plain, free=free)
-    tight = _log_odds(evidence.tight_ratio) - _log_odds(config.min_tight_where_weak)
-    free = min(free, _free_margin(evidence, config.max_blocked_where_weak, config))
-    return Margins(free=free, same_side=plain.same_side, overlap=min(plain.overlap, tight))
-
-
-def _weigh(evidence: SightViewEvidence, config: DecisionConfig) -> float:
-    """Log odds that the pose is right, by its sight lines and contact (logistic regression)."""
-    blocked, scattered, contradicted, tight = describe_contradiction(evidence)
-    return (
-        config.free_offset - config.blocked_weight * blocked - config.scattered_weight * scattered
-        - config.contradicted_weight * contradicted + config.tight_weight * tight
+    agreeing = max(evidence.oriented_overlap_ratio, _FLOOR)
+    constraint = max(evidence.constraint_ratio, 0.1 * _FLOOR)
+    opposed = math.log(config.max_opposed_per_overlap * agreeing / (evidence.opposed_ratio + _FLOOR))
+    overlap = math.log(min(agreeing / config.min_oriented_overlap, constraint / config.min_constraint))
+    return Margins(
+        seen=_weigh(describe(evidence), config), free=_SLOPE * _free_space_margin(evidence, config),
+        same_side=_SLOPE * opposed, overlap=_SLOPE * overlap,
     )  # fmt: skip
 
 
-def describe_contradiction(evidence: SightViewEvidence) -> tuple[float, float, float, float]:
-    """What is weighed: logarithms of the blocked and the scattered share over oriented overlap, both of the worse scan,
-    and of the contradicted ratio; log odds of the tight ratio."""
-    agreeing = max(evidence.oriented_overlap_ratio, _FLOOR)
-    both = (evidence.source_in_target, evidence.target_in_source)
-    blocked = (max(lines.blocked_ratio for lines in both) + _FLOOR) / agreeing
-    scattered = (max(lines.scattered_ratio for lines in both) + _FLOOR) / agreeing
-    contradicted = max(evidence.contradicted_ratio, 10.0 * _FLOOR)
-    tight = min(evidence.tight_ratio, _TIGHT)
-    return math.log(blocked), math.log(scattered), math.log(contradicted), _log_odds(tight)
+def describe(evidence: SightViewEvidence) -> tuple[float, float, float]:
+    """What is weighed: logarithms of the denied share, of the same by clusters, and of the weakest constraint."""
+    seen = (evidence.source_surface, evidence.target_surface)
+    confirmed = sum(surface.num_confirmed for surface in seen)
+
+    def share(denied: float) -> float:
+        return math.log((denied + _STRAY) / (denied + confirmed + _STRAY) + _LEAST_DENIED)
+
+    denied, wide = sum(s.num_denied for s in seen), sum(s.wide_denied for s in seen)
+    return share(denied), share(wide), math.log(evidence.weakest_constraint + _LEAST_STRUCTURE)
 
 
-def _plain_margins(evidence: SightViewEvidence, config: DecisionConfig) -> Margins:
-    agreeing = max(evidence.oriented_overlap_ratio, _FLOOR)
-    constraint = max(evidence.constraint_ratio, 0.1 * _FLOOR)
-    return Margins(
-        free=_free_margin(evidence, config.max_blocked_per_overlap, config),
-        same_side=math.log(config.max_opposed_per_overlap * agreeing / (evidence.opposed_ratio + _FLOOR)),
-        overlap=math.log(min(agreeing / config.min_oriented_overlap, constraint / config.min_constraint)),
-    )
-
-
-def _free_margin(
-    evidence: SightViewEvidence, max_blocked: float, config: DecisionConfig, scattered_factor: float = 1.0
-) -> float:
-    agreeing = max(evidence.oriented_overlap_ratio, _FLOOR)
-    max_scattered = scattered_factor * config.max_scattered_per_overlap
-
-    def of(lines: SightLines) -> float:
-        blocked = math.log(max_blocked * agreeing / (lines.blocked_ratio + _FLOOR))
-        scattered = math.log(max_scattered * agreeing / (lines.scattered_ratio + _FLOOR))
-        return min(blocked, scattered)
-
-    return min(of(evidence.source_in_target), of(evidence.target_in_source))
+def _weigh(described: tuple[float, float, float], config: DecisionConfig) -> float:
+    """Log odds that the pose is right (logistic regression)."""
+    denied, wide, structure = described
+    return (
+        config.offset - config.denied_weight * denied - config.wide_denied_weight * wide
+        + config.structure_weight * structure
+    )  # fmt: skip
 
 
 def _free_space_margin(evidence: SightViewEvidence, config: DecisionConfig) -> float:
@@ -132,42 +98,40 @@ def _free_space_margin(evidence: SightViewEvidence, config: DecisionConfig) -> f
     return min((math.log(largest / (lines.free_blocked_ratio + _FLOOR)) for lines in told), default=math.inf)
 
 
-def _log_odds(share: float) -> float:
-    clipped = min(max(share, _FLOOR), 1.0 - _FLOOR)
-    return math.log(clipped / (1.0 - clipped))
-
-
 def decide(evidence: SightViewEvidence, config: DecisionConfig) -> Decision:
     """Judge one refined pose by its evidence alone."""
     margins = measure_margins(evidence, config)
-    probability = 1.0 / (1.0 + math.exp(-config.sharpness * margins.smallest))
-    agreeing = evidence.oriented_overlap_ratio
+    probability = 1.0 / (1.0 + math.exp(min(-margins.smallest, 700.0)))
+    seen = f"denied surface {evidence.denied_ratio:.3f}, oriented overlap {evidence.oriented_overlap_ratio:.3f}"
     if margins.smallest > 0:
-        detail = f"free sight lines, oriented overlap {agreeing:.3f}"
         if probability < config.min_probability:
-            why = f"probability {probability:.2f}, at least {config.min_probability:g} is asked for: {detail}"
+            why = f"probability {probability:.2f}, at least {config.min_probability:g} is asked for: {seen}"
             return Decision(Verdict.UNDECIDED, Reason.INSUFFICIENT_EVIDENCE, probability, why)
-        return Decision(Verdict.ACCEPTED, Reason.OK, probability, detail)
-    if min(_plain_margins(evidence, config).smallest, _free_space_margin(evidence, config)) > 0:
-        blocked = max(evidence.source_in_target.blocked_ratio, evidence.target_in_source.blocked_ratio)
+        return Decision(Verdict.ACCEPTED, Reason.OK, probability, seen)
+    if margins.overlap <= min(margins.seen, margins.free, margins.same_side):
+        return _too_little_overlap(evidence, margins, probability, config)
+    if min(margins.free, margins.same_side) > 0 and not _is_denied(evidence, config):
         detail = (
-            f"surfaces that resist a shift by {evidence.weakest_constraint:.3f}, {evidence.tight_ratio:.2f} of them in "
-            f"tight contact: too little for blocked sight lines {blocked:.3f}"
+            f"surfaces that resist a shift by {evidence.weakest_constraint:.3f}, denied surface "
+            f"{evidence.denied_ratio:.3f}: too little to tell the pose from others along the way that they leave open"
         )
         return Decision(Verdict.UNDECIDED, Reason.INSUFFICIENT_EVIDENCE, probability, detail)
-    if margins.overlap <= min(margins.free, margins.same_side):
-        return _too_little_overlap(evidence, margins, probability, config)
     return Decision(Verdict.REJECTED, Reason.SIGHT_VIEW_BLOCKED, probability, _contradictions(evidence))
+
+
+def _is_denied(evidence: SightViewEvidence, config: DecisionConfig) -> bool:
+    """Whether more is denied than of a pose that is held firmly: then no structure would make it right."""
+    denied, wide, structure = describe(evidence)
+    return _weigh((denied, wide, max(structure, math.log(config.firm_structure + _LEAST_STRUCTURE))), config) <= 0.0
 
 
 def _contradictions(evidence: SightViewEvidence) -> str:
     ways = (evidence.source_in_target, evidence.target_in_source)
     free = max(lines.free_blocked_ratio for lines in ways)
     filled = f"filled free space {free:.3f}, " if free else ""
-    blocked = max(lines.blocked_ratio for lines in ways)
     return (
-        f"{filled}blocked sight lines {blocked:.3f} and surfaces seen from both sides {evidence.opposed_ratio:.3f} "
-        f"against oriented overlap {evidence.oriented_overlap_ratio:.3f}"
+        f"{filled}denied surface {evidence.denied_ratio:.3f} (the other sensor looked through it), surfaces seen from "
+        f"both sides {evidence.opposed_ratio:.3f}, oriented overlap {evidence.oriented_overlap_ratio:.3f}"
     )
 
 
@@ -179,7 +143,7 @@ def _too_little_overlap(
         f"oriented overlap {evidence.oriented_overlap_ratio:.3f} (at least {config.min_oriented_overlap:g}), "
         f"across directions {evidence.constraint_ratio:.4f} (at least {config.min_constraint:g})"
     )
-    if min(margins.free, margins.same_side) > 0 and margins.overlap > math.log(0.5):
+    if min(margins.seen, margins.free, margins.same_side) > 0 and margins.overlap > _SLOPE * math.log(0.5):
         return Decision(Verdict.UNDECIDED, Reason.INSUFFICIENT_EVIDENCE, probability, f"no contradiction, but {detail}")
     return Decision(Verdict.REJECTED, Reason.LOW_OVERLAP, probability, detail)
 
@@ -200,27 +164,22 @@ class Doubts:
 def doubt(decided: Decision, evidence: SightViewEvidence, doubts: Doubts, config: DecisionConfig) -> Decision:
     """Withdraw an acceptance where a *different* pose is about as good.
 
-    Another refined pose is as good if its sight lines are free and its score comes near; a slip, which nothing
-    refined, needs less; any slip that even looks better tells that refinement stopped short of it.
+    That is one whose odds are less by no more than `rival_odds`; any slip that even looks better tells that refinement
+    stopped short of it.
     """
     if decided.verdict is not Verdict.ACCEPTED:
         return decided
-    best = score(evidence)
-    rivals = [e for e in doubts.others if _is_free(e, config) and score(e) > config.rival_score_ratio * best]
-    rivals += [e for e in doubts.far_slips if _is_free(e, config) and score(e) > config.slip_score_ratio * best]
+    least, best = measure_margins(evidence, config).smallest - math.log(config.rival_odds), score(evidence)
+    rivals = [e for e in (*doubts.others, *doubts.far_slips) if measure_margins(e, config).smallest > least]
     rivals += [e for e in (*doubts.far_slips, *doubts.near_slips) if score(e) > best]
     return _ambiguous(decided, evidence, rivals[0]) if rivals else decided
-
-
-def _is_free(evidence: SightViewEvidence, config: DecisionConfig) -> bool:
-    free = _free_margin(evidence, config.max_blocked_per_overlap, config) > math.log(config.rival_strictness)
-    return free and evidence.oriented_overlap_ratio > config.min_oriented_overlap
 
 
 def _ambiguous(decided: Decision, evidence: SightViewEvidence, other: SightViewEvidence) -> Decision:
     detail = (
         f"a different pose is as good: oriented overlap {other.oriented_overlap_ratio:.3f} against "
-        f"{evidence.oriented_overlap_ratio:.3f}, with free sight lines"
+        f"{evidence.oriented_overlap_ratio:.3f}, denied surface {other.denied_ratio:.3f} against "
+        f"{evidence.denied_ratio:.3f}"
     )
     return Decision(Verdict.UNDECIDED, Reason.AMBIGUOUS, min(decided.probability, 0.49), detail)
 

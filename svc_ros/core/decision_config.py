@@ -11,32 +11,24 @@ from svc_ros.core.config_fields import Group, value
 class DecisionConfig(Group):
     """When a refined pose is accepted, rejected or left undecided; one set of borders for all sensors.
 
-    benchmarks/decision.py fits the weights by logistic regression to right and wrong labelled poses of every real set
-    and of simulated traffic and look-alike rooms, all weighing the same, and tests them on sets left out. The borders
-    were chosen on the same poses and on simulated corridors; limits in benchmarks/README.md.
+    The four weights are fitted by logistic regression to right and wrong poses of every sensor, all weighing the same,
+    and tested on sensors left out (benchmarks/decision.py).
     """
 
-    min_oriented_overlap: float = value(0.10, "less oriented overlap is too little to accept", "", 1e-3, 1.0)
-    free_offset: float = value(-13.4, "log odds of a right pose: offset", "", -100.0, 100.0)
-    blocked_weight: float = value(0.90, "and less this times the log of blocked share over overlap", "", 0.0, 100.0)
-    scattered_weight: float = value(1.27, "the same outside the most blocked sectors", "", 0.0, 100.0)
-    contradicted_weight: float = value(2.04, "the log of the blocked share of unmatched surface", "", 0.0, 100.0)
-    tight_weight: float = value(2.15, "plus this times the log odds of agreement within tau / 4", "", 0.0, 100.0)
-    max_blocked_per_overlap: float = value(0.09, "blocked share over overlap: beyond, rejected", "", 1e-3, 10.0)
-    max_scattered_per_overlap: float = value(0.045, "the same outside the most blocked sectors", "", 1e-3, 10.0)
-    max_opposed_per_overlap: float = value(0.60, "opposed share over oriented overlap", "", 1e-3, 10.0)
+    offset: float = value(-0.24, "log odds of a right pose: offset", "", -100.0, 100.0)
+    denied_weight: float = value(1.90, "less this times the log of the denied share", "", 0.0, 100.0)
+    wide_denied_weight: float = value(1.88, "and of the same, clusters counting by their angle", "", 0.0, 100.0)
+    structure_weight: float = value(6.69, "plus this times the log of how surfaces resist a shift", "", 0.0, 100.0)
+    min_probability: float = value(0.5, "a pose that is less probable is not accepted, but undecided", "", 0.5, 1.0)
+    min_oriented_overlap: float = value(0.08, "less oriented overlap is too little to accept", "", 1e-3, 1.0)
+    min_constraint: float = value(0.01, "less agreement across two directions is too little", "", 1e-4, 1.0)
+    max_opposed_per_overlap: float = value(0.80, "opposed share over oriented overlap", "", 1e-3, 10.0)
     max_free_blocked_per_overlap: float = value(0.15, "filled share of free space over oriented overlap", "", 1e-3, 10)
     min_free: int = value(100, "fewer directions in which nothing was met count for nothing", "", 1, 1_000_000)
-    min_constraint: float = value(0.015, "less agreement across two directions is too little", "", 1e-4, 1.0)
-    weak_constraint: float = value(0.13, "surfaces that resist a shift less than this call for more", "", 0.0, 1.0)
-    max_blocked_where_weak: float = value(0.045, "then: blocked share over oriented overlap", "", 1e-3, 10.0)
-    min_tight_where_weak: float = value(0.70, "then: share of agreeing points within tau / 4", "", 0.0, 0.99)
-    min_probability: float = value(0.5, "a pose that is less probable is not accepted, but undecided", "", 0.5, 1.0)
-    sharpness: float = value(2.0, "slope of the probability over the smallest margin", "", 0.1, 100.0)
-    slip_m: float = value(2.4, "an accepted pose is shifted so far along its weak directions", "m", 0.01, 100.0)
-    slip_score_ratio: float = value(0.68, "a slip scoring this share of the pose is as good", "", 0.0, 1.0)
-    rival_score_ratio: float = value(0.92, "another refined pose scoring this share is as good", "", 0.0, 1.0)
-    rival_strictness: float = value(1.9, "factor by which a rival must keep the blocked borders", "", 0.1, 10.0)
+    firm_structure: float = value(0.20, "of surfaces that hold a pose firmly: denied there is denied", "", 0, 1)
+    weak_constraint: float = value(0.13, "along what resists less the pose is shifted, and doubted", "", 0.0, 1.0)
+    slip_m: float = value(2.4, "so far, and half as far", "m", 0.01, 100.0)
+    rival_odds: float = value(4.0, "a different pose less likely by no more than this factor is as good", "", 1.0, 1e6)
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from svc_ros.core.scan import IndexArray, frozen_array
-
-_FEW = 40  # lines, of which a share would say nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,19 +15,15 @@ class SightLines:
 
     num_lines: sight lines that were checked; num_observed: lines along which the other scan has a point (the
     paper's region of interest); blocked_idx: (B,) indices into the observer's prepared points whose line another
-    point blocks; blocker_idx: (B,) the point of the other scan that blocks it; num_scattered: blocked lines outside the
-    few most blocked azimuth sectors: a moving object blocks one sector, a wrong pose all of them; complete: False if
-    the search ended early, at least so many being blocked.
-    num_free: directions in which the observer's sensor met nothing (0 where it tells none, or the search ended early);
-    num_free_blocked: of those, along which the other scan has surface that the sensor would have seen.
+    point blocks; blocker_idx: (B,) the point of the other scan that blocks it.
+    num_free: directions in which the observer's sensor met nothing (0 where it tells none); num_free_blocked: of those,
+    along which the other scan has surface that the sensor would have seen.
     """
 
     num_lines: int
     num_observed: int
     blocked_idx: IndexArray
     blocker_idx: IndexArray
-    num_scattered: int = -1  # not counted: all of them
-    complete: bool = True
     num_free: int = 0
     num_free_blocked: int = 0
 
@@ -37,8 +31,6 @@ class SightLines:
         for name in ("blocked_idx", "blocker_idx"):
             array = frozen_array(getattr(self, name), np.int64, f"SightLines.{name}", (None,))
             object.__setattr__(self, name, array)
-        if self.num_scattered < 0:
-            object.__setattr__(self, "num_scattered", len(self.blocked_idx))
 
     @property
     def num_blocked(self) -> int:
@@ -51,11 +43,6 @@ class SightLines:
         return self.num_blocked / self.num_lines if self.num_lines else 0.0
 
     @property
-    def scattered_ratio(self) -> float:
-        """Scattered share of all sight lines, in [0, 1]."""
-        return self.num_scattered / self.num_lines if self.num_lines else 0.0
-
-    @property
     def free_blocked_ratio(self) -> float:
         """Share of the free directions along which the other scan has surface, in [0, 1]."""
         return self.num_free_blocked / self.num_free if self.num_free else 0.0
@@ -66,11 +53,54 @@ class SightLines:
         return self.num_observed / self.num_lines if self.num_lines else 0.0
 
 
+def no_lines() -> SightLines:
+    """Sight lines of which none was looked at."""
+    nothing = np.zeros(0, np.int64)
+    return SightLines(0, 0, nothing, nothing)
+
+
+@dataclass(frozen=True, eq=False)
+class SeenSurface:
+    """Surface of one scan, placed by a pose, as the other one's sensor (the observer) saw the place where it stands.
+
+    num_points: of the placed scan; num_confirmed: on the observer's surface, facing the same way, where it looked;
+    denied_idx: (D,) indices of those that it looked through; wide_denied: their number, a cluster counting by the angle
+    over which the observer sees it; num_hidden: behind what it saw; num_unseen: where it did not look.
+    """
+
+    num_points: int
+    num_confirmed: int
+    denied_idx: IndexArray
+    wide_denied: float
+    num_hidden: int
+    num_unseen: int
+
+    def __post_init__(self) -> None:
+        array = frozen_array(self.denied_idx, np.int64, "SeenSurface.denied_idx", (None,))
+        object.__setattr__(self, "denied_idx", array)
+
+    @property
+    def num_denied(self) -> int:
+        """Points where the observer looked through."""
+        return len(self.denied_idx)
+
+    @property
+    def denied_ratio(self) -> float:
+        """Denied share of what the observer could see, in [0, 1]: of denied and confirmed points; 0 without any."""
+        return self.num_denied / max(self.num_denied + self.num_confirmed, 1)
+
+
+def no_surface() -> SeenSurface:
+    """Surface of which nothing was seen."""
+    return SeenSurface(0, 0, np.zeros(0, np.int64), 0.0, 0, 0)
+
+
 @dataclass(frozen=True, eq=False)
 class SightViewEvidence:
     """Everything that was measured of one pose.
 
-    source_in_target: the target's sight lines, blocked by source points; target_in_source: the reverse.
+    source_in_target: the target's sight lines, blocked by source points; target_in_source: the reverse. The same ways
+    source_surface: of the source, as the target's sensor saw it; target_surface: the reverse.
     overlap_ratio, oriented_overlap_ratio, opposed_ratio: of the smaller of both directions' shares of points with a
     neighbour within tolerance; with a neighbour whose surface faces the same way; with one that faces the opposite.
     constraint_ratio: oriented overlap times the middle eigenvalue of the agreeing normals' mean outer product (up to
@@ -87,47 +117,54 @@ class SightViewEvidence:
     constraint_ratio: float = 1.0
     weakest_constraint: float = 1.0 / 3.0
     tight_ratio: float = 1.0
+    source_surface: SeenSurface = field(default_factory=no_surface)
+    target_surface: SeenSurface = field(default_factory=no_surface)
 
     @property
-    def complete(self) -> bool:
-        """Whether every line of both scans was looked at."""
-        return self.source_in_target.complete and self.target_in_source.complete
+    def denied_ratio(self) -> float:
+        """Denied share of all surface that either sensor could see, both ways together, in [0, 1]."""
+        return self._share(self.source_surface.num_denied + self.target_surface.num_denied)
 
     @property
-    def contradicted_ratio(self) -> float:
-        """Of the lines along which a scan shows surface that the other lacks, the share that this surface blocks.
+    def wide_denied_ratio(self) -> float:
+        """The same, clusters of denied surface counting by the angle over which they are seen."""
+        return self._share(self.source_surface.wide_denied + self.target_surface.wide_denied)
 
-        Seen from elsewhere most of such surface lies behind what the observer saw: of a right pose few are blocked, of
-        a wrong one about half, however much else agrees. Next to 0 where there are next to none.
-        """
-        both = (self.source_in_target, self.target_in_source)
-        return sum(lines.num_blocked for lines in both) / max(sum(lines.num_observed for lines in both), _FEW)
+    def _share(self, denied: float) -> float:
+        confirmed = self.source_surface.num_confirmed + self.target_surface.num_confirmed
+        return denied / max(denied + confirmed, 1.0)
 
     def numbers(self) -> dict[str, float | int]:
         """The evidence as flat key-values, for messages, files and the decision's model."""
-        near, far = self.source_in_target, self.target_in_source
-        return {
-            "blocked_ratio_source_in_target": near.blocked_ratio,
-            "blocked_ratio_target_in_source": far.blocked_ratio,
+        ways = {
+            "source_in_target": (self.source_in_target, self.source_surface),
+            "target_in_source": (self.target_in_source, self.target_surface),
+        }
+        found: dict[str, float | int] = {
+            "denied_ratio": self.denied_ratio,
+            "wide_denied_ratio": self.wide_denied_ratio,
             "overlap_ratio": self.overlap_ratio,
             "oriented_overlap_ratio": self.oriented_overlap_ratio,
             "opposed_ratio": self.opposed_ratio,
             "constraint_ratio": self.constraint_ratio,
             "weakest_constraint": self.weakest_constraint,
             "tight_ratio": self.tight_ratio,
-            "contradicted_ratio": self.contradicted_ratio,
-            "scattered_ratio_source_in_target": near.scattered_ratio,
-            "scattered_ratio_target_in_source": far.scattered_ratio,
-            "observed_ratio_source_in_target": near.observed_ratio,
-            "observed_ratio_target_in_source": far.observed_ratio,
-            "free_blocked_ratio_source_in_target": near.free_blocked_ratio,
-            "free_blocked_ratio_target_in_source": far.free_blocked_ratio,
-            "num_blocked_source_in_target": near.num_blocked,
-            "num_blocked_target_in_source": far.num_blocked,
-            "num_lines_source_in_target": near.num_lines,
-            "num_lines_target_in_source": far.num_lines,
-            "num_free_blocked_source_in_target": near.num_free_blocked,
-            "num_free_blocked_target_in_source": far.num_free_blocked,
-            "num_free_source_in_target": near.num_free,
-            "num_free_target_in_source": far.num_free,
         }
+        for way, (lines, surface) in ways.items():
+            found |= {
+                f"denied_ratio_{way}": surface.denied_ratio,
+                f"wide_denied_{way}": surface.wide_denied,
+                f"num_denied_{way}": surface.num_denied,
+                f"num_confirmed_{way}": surface.num_confirmed,
+                f"num_hidden_{way}": surface.num_hidden,
+                f"num_unseen_{way}": surface.num_unseen,
+                f"num_points_{way}": surface.num_points,
+                f"blocked_ratio_{way}": lines.blocked_ratio,
+                f"observed_ratio_{way}": lines.observed_ratio,
+                f"free_blocked_ratio_{way}": lines.free_blocked_ratio,
+                f"num_blocked_{way}": lines.num_blocked,
+                f"num_lines_{way}": lines.num_lines,
+                f"num_free_blocked_{way}": lines.num_free_blocked,
+                f"num_free_{way}": lines.num_free,
+            }
+        return found

@@ -10,6 +10,7 @@ from svc_ros.core.config import PreprocessConfig
 from svc_ros.core.errors import ConfigError, TooFewPointsError
 from svc_ros.core.neighbours import NearestGrid, RadiusGrid
 from svc_ros.core.parallel import in_parts, on_all_processors
+from svc_ros.core.range_image import build_range_image
 from svc_ros.core.scan import Array, PreparedScan, Scan
 
 _SECTOR_DEG = 0.5
@@ -36,7 +37,7 @@ def preprocess(scan: Scan, config: PreprocessConfig) -> PreparedScan:
     spacing = estimate_beam_spacing_deg(cropped, scan.sensor_origin)
     return PreparedScan(
         points, normals, scan.sensor_origin, config.voxel_size_m, scan.stamp_ns, scan.frame_id, spacing,
-        thin_free_directions(scan),
+        thin_free_directions(scan), build_range_image(scan.points, scan.sensor_origin, config.min_range_m, spacing),
     )  # fmt: skip
 
 

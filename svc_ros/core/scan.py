@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from svc_ros.core.errors import InputError
+from svc_ros.core.range_image import RangeImage
 
 Array = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -85,8 +86,9 @@ class PreparedScan:
 
     points: (K, 3) [m]; normals: (K, 3) unit, turned towards the sensor; sensor_origin: (3,) [m];
     voxel_size_m: the grid that thinned it; beam_spacing_deg: angle between neighbouring beams of the raw scan, 0 if
-    unknown; free_directions: (F, 3) unit, along which the sensor met nothing, about a degree apart; memo: search
-    structures, built on first use and kept with the scan.
+    unknown; free_directions: (F, 3) unit, along which the sensor met nothing, about a degree apart; range_image: of all
+    raw points, how far the sensor looked, None where nobody made one; memo: search structures, built on first use and
+    kept with the scan.
     """
 
     points: Array
@@ -97,6 +99,7 @@ class PreparedScan:
     frame_id: str = ""
     beam_spacing_deg: float = 0.0
     free_directions: Array = field(default_factory=_no_directions)
+    range_image: RangeImage | None = None
     memo: dict[Hashable, Any] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:

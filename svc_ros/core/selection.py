@@ -22,7 +22,7 @@ from svc_ros.core.prescore import thinned_scan
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Array, Correspondences, HypothesisSet, PreparedScan
 from svc_ros.core.se3 import pose_error
-from svc_ros.core.sight_view import Allowance, gather_evidence, index, look_both_ways
+from svc_ros.core.sight_view import gather_evidence, glance, index, look_both_ways
 from svc_ros.core.stopwatch import Stopwatch
 
 _HOPELESS = float(np.log(8.0))  # a pose that promises less by this can neither win nor cast doubt on the winner
@@ -56,17 +56,12 @@ class Pair:
         with self.watch.stage("observability"):
             return evidence, find_contact(self.target, in_target, view)
 
-    def look_at_all(self, poses: Sequence[Array], allowances: Sequence[Allowance]) -> list[SightViewEvidence]:
-        """The evidence of each pose, on all processors; a look ends early where more is blocked than allowed."""
-        if len(poses) == 1:
-            return [self.look(poses[0])]
+    def glance_at_all(self, poses: Sequence[Array]) -> list[SightViewEvidence]:
+        """What decides on each pose, on all processors; blocked lines are not looked for."""
         view = self.config.sight_view
         with self.watch.stage("sight_view"):
             index((self.source, self.target), view)
-            return on_all_processors(
-                lambda job: gather_evidence(self.source, self.target, job[0], view, job[1]),
-                zip(poses, allowances, strict=True),
-            )
+            return on_all_processors(lambda T: glance(self.source, self.target, T, view), poses)
 
     def promise(self, evidence: SightViewEvidence) -> float:
         """What poses are ranked by: the smallest margin that the decision will look at."""
@@ -132,12 +127,9 @@ def choose_paper(pair: Pair, correspondences: Correspondences, hypotheses: Hypot
 
 
 def _paper_answer(pair: Pair, T: Array) -> RegistrationResult:
-    """Algorithm 2 both ways, with the overlap of the default mode as further evidence."""
+    """Algorithm 2 both ways, with what the default mode sees as further evidence."""
     in_target, in_source, passed = paper_rule.check_both_ways(pair.source, pair.target, T, pair.config.paper)
-    overlap = pair.look(T)
-    evidence = SightViewEvidence(
-        in_target, in_source, overlap.overlap_ratio, overlap.oriented_overlap_ratio, overlap.opposed_ratio
-    )
+    evidence = dataclasses.replace(pair.look(T), source_in_target=in_target, target_in_source=in_source)
     blocked = max(in_target.blocked_ratio, in_source.blocked_ratio)
     verdict, reason = (Verdict.ACCEPTED, Reason.OK) if passed else (Verdict.REJECTED, Reason.SIGHT_VIEW_BLOCKED)
     detail = f"blocked share {blocked:.3f}, the paper allows {pair.config.paper.max_blocked_ratio:g}"
@@ -160,7 +152,7 @@ def choose_svc(pair: Pair, correspondences: Correspondences, hypotheses: Hypothe
 def _look_roughly(pair: Pair, starts: Array) -> tuple[Array, Array]:
     """Poses (S, 4, 4) after ICP with a few hundred points, and what they promise (S,) with few points of both scans.
 
-    Best first. Few points overstate what is blocked, of all poses alike: they rank, and only far apart they tell.
+    Best first. Few points overstate what is denied, of all poses alike: they rank, and only far apart they tell.
     """
     limits, view = pair.config.shortlist, pair.config.sight_view
     source, target = (thinned_scan(scan, limits.rough_view_points) for scan in (pair.source, pair.target))
@@ -169,7 +161,7 @@ def _look_roughly(pair: Pair, starts: Array) -> tuple[Array, Array]:
 
     def look(start: Array) -> tuple[Array, float]:
         refined = icp.refine_roughly(start, pair.source, pair.target, pair.config)
-        return refined, pair.promise(gather_evidence(source, target, refined, view))
+        return refined, pair.promise(glance(source, target, refined, view))
 
     T, promise = (np.array(values) for values in zip(*on_all_processors(look, starts), strict=True))
     order = np.argsort(-promise, kind="stable")
@@ -181,18 +173,10 @@ def _choose_best(pair: Pair, starts: Array) -> RegistrationResult:
     limits = pair.config.shortlist
     refined = np.array([pair.refine(T, limits.icp_points) for T in starts])
     pair.counts["judged"] = pair.counts.get("judged", 0) + len(refined)
-    evidence = _look_at_all(pair, refined)
+    evidence = pair.glance_at_all(list(refined))
     settled = _settle(pair, refined[int(np.argmax([pair.promise(e) for e in evidence]))])
     near = shortlist.find_near(refined, settled.T_target_source, limits)
     return _judge(pair, settled, [e for e, same in zip(evidence, near, strict=True) if not same])
-
-
-def _look_at_all(pair: Pair, poses: Array) -> list[SightViewEvidence]:
-    """Evidence of poses (S, 4, 4): whole for every pose that may be accepted, and for all if none may be."""
-    evidence = pair.look_at_all(list(poses), [decision.blocked_allowance()] * len(poses))
-    if any(e.complete and pair.promise(e) > 0 for e in evidence):
-        return evidence
-    return [e if e.complete else pair.look(T) for e, T in zip(evidence, poses, strict=True)]
 
 
 def _search_widely(pair: Pair, by_agreement: Array) -> Array:
@@ -226,7 +210,7 @@ class Settled:
     """A refined pose with its evidence, and with that of the pose shifted where the surfaces hardly resist it.
 
     far_slips: shifted both ways along every weak direction by the slip; near_slips: by half of it. Each is a pose and
-    its evidence, which is whole where the slip's score comes near that of the pose.
+    what decides on it.
     """
 
     T_target_source: Array
@@ -259,15 +243,13 @@ def _settle(pair: Pair, T: Array) -> Settled:
 
 
 def _with_slips(pair: Pair, T: Array, evidence: SightViewEvidence, contact: SurfaceContact) -> Settled:
-    config, best = pair.config.decision, decision.score(evidence)
+    config = pair.config.decision
     directions = contact.weak_directions(config.weak_constraint)
     far, near = (
         [shift(T, direction, sign * distance_m) for direction in directions for sign in (-1.0, 1.0)]
         for distance_m in (config.slip_m, 0.5 * config.slip_m)
     )
-    least = (decision.score_allowance(share * best) for share in (config.slip_score_ratio, 1.0))
-    allowances = [allowance for allowance in least for _ in far]
-    slips = list(zip(far + near, pair.look_at_all(far + near, allowances), strict=True))
+    slips = list(zip(far + near, pair.glance_at_all(far + near), strict=True))
     return Settled(T, evidence, contact, slips[: len(far)], slips[len(far) :])
 
 

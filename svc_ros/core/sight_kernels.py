@@ -70,14 +70,13 @@ def judge_hits(num_hits, hits, batch, T, normals, limits, grid, found):  # type:
 
 
 @_jit
-def find_blockers(T, points, normals, nearest, origin, limits, max_blocked, grid, found):  # type: ignore[no-untyped-def]
+def find_blockers(T, points, normals, nearest, origin, limits, grid, found):  # type: ignore[no-untyped-def]
     """Find the sight lines that end behind a point of the other scan; return how many.
 
     T (4, 4): the other scan's pose in the observer's frame; points, normals (M, 3): its own; nearest (M,): below zero
     where a point lies on nothing of the observer's surface: only such points block; origin (3,): the sensor;
-    limits: (tolerance, beam radius, sine of the largest half angle, largest tangent of the incidence angle);
-    max_blocked: the search ends when more lines are blocked; grid: the tables of a DirectionGrid (lines (L, 4) ...);
-    found: blocker (N,), by the line's name, the nearest point that blocks it, or -1; blocker_range (N,), its range;
+    limits: (tolerance, beam radius, sine of the largest half angle, largest tangent of the incidence angle); grid: the
+    tables of a DirectionGrid (lines (L, 4) ...); found: blocker (N,), by the line's name, the nearest point that blocks it, or -1; blocker_range (N,), its range;
     observed (L,), by its place in the grid, whether any point that may block lies along the line.
     A point p blocks the line to q if the line passes within the beam radius of it, its range is smaller than q's by
     more than the tolerance plus what the surface at q may rise within that radius, and neither surface's tangent
@@ -90,7 +89,7 @@ def find_blockers(T, points, normals, nearest, origin, limits, max_blocked, grid
     of_point, of_line = np.empty(_HITS + 1, np.uint32), np.empty(_HITS + 1, np.uint32)
     hits, batch = (of_point, of_line), (names, x, y, z, sizes)
     num_blocked, next_point = 0, 0
-    while next_point < nearest.shape[0] and num_blocked <= max_blocked:
+    while next_point < nearest.shape[0]:
         num, next_point = place_alone(T, points, nearest, origin, next_point, names, x, y, z)
         fill_bounds(x[:num], y[:num], z[:num], radius, max_sine, float(rows), float(columns), bounds, sizes)
         num_hits = 0
@@ -110,17 +109,6 @@ def find_blockers(T, points, normals, nearest, origin, limits, max_blocked, grid
                         num_hits = 0
         num_blocked += judge_hits(num_hits, hits, batch, T, normals, limits, grid, found)
     return num_blocked
-
-
-@_jit
-def collect(blocker, sectors, blocked, blockers, per_sector):  # type: ignore[no-untyped-def]
-    """blocked, blockers (B + 1,): the B lines (N,) that have a blocker, and it; per_sector (S,): how many of them."""
-    num = 0
-    for i in range(blocker.shape[0]):
-        blocked[num], blockers[num] = i, blocker[i]
-        num += blocker[i] >= 0
-    for n in range(num):
-        per_sector[sectors[blocked[n]]] += 1
 
 
 @_jit

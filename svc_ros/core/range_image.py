@@ -1,0 +1,104 @@
+"""Range images: how far a sensor looked in every direction.
+
+Of the raw points of a scan, not of the thinned ones: each cell of directions keeps the least and the greatest range of
+itself and its neighbours, so that edges, grazing ground and noise are covered by what the sensor itself measured there,
+without a model of incidence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from svc_ros.core import range_image_kernels
+
+Array = NDArray[np.float64]
+Tables = tuple[NDArray[np.int16], NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]
+Size = tuple[float, float]
+
+_SINE_STEPS, _TURN_STEPS = 8192, 2048  # a hundredth of a degree, but near the poles
+_LEAST_HELD = 4  # of nine cells: with fewer the sensor has hardly looked there
+_SMALLEST_DEG, _LARGEST_DEG = 0.4, 2.5
+_BEAMS = 1.05  # cells are a little higher than beams are apart, so that none falls between two of them
+_ENOUGH = 0.9  # of the cells with a point lie among others with points; else cells are too small for the pattern
+_LARGER = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class RangeImage:
+    """Least and greatest range of the directions around a sensor, over a cell and the eight around it.
+
+    near, far: (C,) float32 [m], both -1 where the sensor did not look (fewer than four of the nine cells hold a point);
+    tables: rows by the sine of the elevation, turns by the quadrant's share, number of cells and first cell of every
+    row: rows have fewer cells the nearer they are to a pole, so that all are about as wide; size_deg: height and width
+    of a cell; dense_ratio: share of the cells with a point that are not -1.
+    """
+
+    near: NDArray[np.float32]
+    far: NDArray[np.float32]
+    tables: Tables
+    size_deg: Size
+    dense_ratio: float
+
+
+def build_range_image(points: Array, origin: Array, min_range_m: float, beam_spacing_deg: float) -> RangeImage:
+    """The image of raw points (N, 3) [m] around the sensor at origin (3,); nearer ones (the carrier) do not count.
+
+    Cells are as high as beams are apart, and larger where the pattern is sparser than that: a wider or a higher one,
+    whichever helps more, until most points have others around them.
+    """
+    height = min(max(_BEAMS * beam_spacing_deg, _SMALLEST_DEG), _LARGEST_DEG)
+    image = _build(points, origin, min_range_m, (height, _SMALLEST_DEG))
+    while image.dense_ratio < _ENOUGH and min(image.size_deg) < _LARGEST_DEG:
+        height, width = image.size_deg
+        larger = ((height, min(_LARGER * width, _LARGEST_DEG)), (min(_LARGER * height, _LARGEST_DEG), width))
+        image = max(
+            (_build(points, origin, min_range_m, size) for size in larger if size != image.size_deg),
+            key=lambda tried: tried.dense_ratio,
+        )
+    return image
+
+
+def _build(points: Array, origin: Array, min_range_m: float, size_deg: Size) -> RangeImage:
+    tables = _tables(size_deg)
+    num = int(tables[2].sum())
+    near, far = np.full(num, np.inf, np.float32), np.zeros(num, np.float32)
+    range_image_kernels.fill(points, origin, min_range_m, tables, near, far)
+    tables, cells = _used_rows(tables, far)
+    near, far = near[cells], far[cells]
+    wide_near, wide_far = np.empty_like(near), np.empty_like(far)
+    num_held, num_dense = range_image_kernels.spread(near, far, *tables[2:], _LEAST_HELD, wide_near, wide_far)
+    return RangeImage(wide_near, wide_far, tables, size_deg, num_dense / max(num_held, 1))
+
+
+@lru_cache(maxsize=32)
+def _tables(size_deg: Size) -> Tables:
+    """Of an image of all directions."""
+    height, width = np.radians(size_deg)
+    num_rows = int(np.ceil(np.pi / height))
+    sines = (np.arange(_SINE_STEPS + 1) + 0.5) * (2.0 / _SINE_STEPS) - 1.0
+    rows = np.minimum((np.arcsin(np.minimum(sines, 1.0)) + 0.5 * np.pi) / height, num_rows - 1).astype(np.int16)
+    middles = (np.arange(num_rows) + 0.5) * height - 0.5 * np.pi
+    columns = np.maximum(np.round(2.0 * np.pi * np.cos(middles) / width), 4).astype(np.int32)
+    starts = (np.cumsum(columns) - columns).astype(np.int32)
+    share = (np.arange(_TURN_STEPS + 1) + 0.5) / _TURN_STEPS
+    quarter = np.minimum(np.arctan2(share, 1.0 - share) / (2.0 * np.pi), 0.25)
+    turns = np.array([quarter, 0.5 - quarter, 1.0 - quarter, 0.5 + quarter]) % 1.0
+    return rows, turns.astype(np.float32), columns, starts
+
+
+def _used_rows(tables: Tables, far: NDArray[np.float32]) -> tuple[Tables, slice]:
+    """The tables of the rows between the lowest and the highest point, one more each way, and their cells."""
+    rows, turns, columns, starts = tables
+    held = np.flatnonzero(far)
+    if len(held) == 0:
+        return (np.full_like(rows, -1), turns, columns[:0], starts[:0]), slice(0, 0)
+    first, last = np.searchsorted(starts, held[[0, -1]], side="right") - 1
+    first, last = max(first - 1, 0), min(last + 1, len(columns) - 1)
+    begin, end = int(starts[first]), int(starts[last] + columns[last])
+    inside = (rows >= first) & (rows <= last)
+    kept = np.where(inside, rows - first, -1).astype(np.int16)
+    return (kept, turns, columns[first : last + 1], starts[first : last + 1] - begin), slice(begin, end)
