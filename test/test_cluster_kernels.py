@@ -26,7 +26,8 @@ def cases() -> dict[str, np.ndarray]:
         "dense": rng.normal(size=(2000, 3)) * 3, "sparse": rng.normal(size=(2000, 3)) * 30,
         "thin": rng.uniform(-20, 20, (1500, 3)) * [1, 1, 0.01], "chain": rng.permutation(line(500, 0.9)),
         "backwards": line(300, 0.9)[::-1], "corners": np.arange(60.0)[:, None] * np.ones(3),
-        "two": np.vstack([line(40, 0.5), line(40, 0.5) + np.array([0, 7.0, 0])]), "far": rng.normal(size=(300, 3)) * 1e5,
+        "two": np.vstack([line(40, 0.5), line(40, 0.5) + np.array([0, 7.0, 0])]),
+        "far": rng.normal(size=(300, 3)) * 1e5,
         "on_borders": rng.integers(-6, 6, (300, 3)).astype(float) * 3,
         "at_the_sensor": np.zeros((4, 3)),
     }  # fmt: skip
