@@ -102,7 +102,7 @@ function traces3d(scene, size) {
     cloudTrace(scene.source, "source", "source"),
     lineTrace(sides, "clear", "clear", { line: { color: css("clear"), width: 1 }, opacity: 0.4 }),
     lineTrace(sides, "blocked", "blocked", { line: { color: css("blocked"), width: 1 }, opacity: 0.25 }),
-    { type: "scatter3d", mode: "markers", name: "denied", hoverinfo: "skip", visible: !hidden.has("denied"), ...denied, marker: { size: 2.4 / narrowness(), color: css("blocked") } },
+    { type: "scatter3d", mode: "markers", name: "denied", hoverinfo: "skip", visible: !hidden.has("denied"), ...denied, marker: { size: 1.9 / narrowness(), color: css("blocked") } },
     origin(scene.target, "target sensor", css("origin")),
     origin(scene.source, "source sensor", css("source")),
   ] };
