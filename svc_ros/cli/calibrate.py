@@ -180,17 +180,16 @@ def _ranges(sets: Sequence[tuple[Dataset, Config]]) -> str:
 
 
 def _show(console: Console, summary: dict[str, Any]) -> None:
-    from svc_ros.evaluation.calibration_page import calibration_rows, set_rows
+    from svc_ros.evaluation.calibration_page import border_rows, count_rows
     from svc_ros.evaluation.calibration_summary import statement
 
     names = ", ".join(one["dataset"] for one in summary["datasets"])
-    console.print(key_value_table(f"{names}: preset {summary['preset']}", dict(calibration_rows(summary))))
-    title = "pairs with a wrong acceptance, right poses accepted"
-    table = Table("data set", "pairs", "present", "chosen" if summary["chosen"] else "best", title=title)
-    for row in set_rows(summary):
+    head, *rows = border_rows(summary)
+    table = Table(*head, title=Text(f"{names}: preset {summary['preset']}"), title_justify="left")
+    for row in rows:
         table.add_row(*map(Text, row))
-    if len(summary["datasets"]) > 1:
-        console.print(table)
+    console.print(table)
+    console.print(key_value_table("judged", {row[0]: row[1] for row in count_rows(summary)}))
     console.print(Text(statement(summary)), soft_wrap=True)
 
 

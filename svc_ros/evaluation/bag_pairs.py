@@ -103,7 +103,7 @@ def dataset_of_bag(source: BagSource, preset: str, config: Config, num: tuple[in
         _write_scans(bag, topic, source, (used, folder))
     limits = config.preprocess
     return BagDataset(
-        folder, source.bag.name, "", preset, limits.min_range_m, limits.max_range_m, np.zeros(3), spacing.success,
+        folder, "/".join(source.bag.parts[-2:]), "", preset, limits.min_range_m, limits.max_range_m, np.zeros(3), spacing.success,
         [_pair(frames, *pair) for pair in pairs], [_pair(frames, *pair) for pair in negatives],
     )  # fmt: skip
 

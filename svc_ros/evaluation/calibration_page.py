@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import svc_ros
 from svc_ros.evaluation.calibration_summary import Row, percent, statement
@@ -18,47 +17,53 @@ def write_calibration_page(path: Path, summary: Row) -> None:
         "title": f"Calibration on {names}",
         "version": svc_ros.__version__,
         "statement": statement(summary),
-        "rows": calibration_rows(summary),
-        "sets": set_rows(summary),
+        "borders": border_rows(summary),
+        "counts": count_rows(summary),
     }
     write_page(path, page, "calibration.html", ("calibration.js",))
 
 
-def calibration_rows(summary: Row) -> list[list[str]]:
-    """Names and values of the whole, as text, for tables."""
-    other = summary["chosen"] or summary["surest"]
-    name = "chosen" if summary["chosen"] else "best"
-    rows: list[tuple[str, Any]] = [
-        ("pairs", f"{summary['num_pairs']} ({summary['num_pairs_unusable']} more had too few points)"),
-        ("right, wrong, grey poses", ", ".join(str(summary[f"num_{k}_poses"]) for k in ("right", "wrong", "grey"))),
-        *_border_rows("present", summary["present"]),
-        *_border_rows(name, other),
-        ("pairs needed without a wrong acceptance", summary["num_pairs_needed"]),
-        ("expected calibration error", _rounded(summary["expected_calibration_error"])),
-        ("the same of accepted poses", _rounded(summary["expected_calibration_error_accepted"])),
+def border_rows(summary: Row) -> list[list[str]]:
+    """The border in use beside the chosen one, else the best: a head and rows of text, data sets last."""
+    name = "chosen" if summary["chosen"] else "surest"
+    borders = [summary["present"], summary[name]]
+    confidence = percent(summary["confidence"])
+    rows = [
+        ["", "present", "chosen" if summary["chosen"] else "best of these data"],
+        ["decision.min_probability", *(f"{b['min_probability']:g}" for b in borders)],
+        ["pairs with a wrong acceptance", *(f"{b['num_failed_pairs']} of {b['num_pairs']}" for b in borders)],
+        [f"bound of their share, {confidence} confidence", *(percent(b["wrong_rate_bound"], up=True) for b in borders)],
+        ["wrong poses accepted", *(_by_kind(b) for b in borders)],
+        ["right poses accepted", *(percent(b["right_accepted_share"]) for b in borders)],
     ]
-    return [[key, str(value)] for key, value in rows]
-
-
-def _border_rows(name: str, border: Row) -> list[tuple[str, Any]]:
-    kinds = ", ".join(f"{kind} {num}" for kind, num in border["wrong_accepted_by_kind"].items())
-    wrong = f"{border['num_failed_pairs']} (poses: {kinds})" if kinds else border["num_failed_pairs"]
-    return [
-        (f"{name} decision.min_probability", f"{border['min_probability']:g}"),
-        (f"{name}: pairs with a wrong acceptance", wrong),
-        (f"{name}: bound of their share", percent(border["wrong_rate_bound"], up=True)),
-        (f"{name}: right poses accepted", percent(border["right_accepted_share"])),
-    ]
-
-
-def set_rows(summary: Row) -> list[list[str]]:
-    """Data set, pairs, wrong and right acceptance at both borders."""
-    rows = []
-    for one in summary["datasets"]:
-        borders = [one["present"], one["chosen" if summary["chosen"] else "surest"]]
-        cells = [f"{b['num_failed_pairs']}, {percent(b['right_accepted_share'])}" for b in borders]
-        rows.append([one["dataset"], str(one["num_pairs"]), *cells])
+    for one in summary["datasets"] if len(summary["datasets"]) > 1 else ():
+        here = [one["present"], one[name]]
+        failed = (f"{b['num_failed_pairs']} of {one['num_pairs']}" for b in here)
+        rows.append([f"{one['dataset']}: failed pairs", *failed])
+        rows.append([f"{one['dataset']}: right accepted", *(percent(b["right_accepted_share"]) for b in here)])
     return rows
+
+
+def count_rows(summary: Row) -> list[list[str]]:
+    """What was judged, and how true the probabilities are: names and values as text."""
+    registered = summary["register"]
+    rows: list[list[str]] = [
+        ["right, wrong, grey poses", ", ".join(str(summary[f"num_{k}_poses"]) for k in ("right", "wrong", "grey"))],
+        ["scans", str(summary["num_scans"])],
+        ["pairs with too few points", str(summary["num_pairs_unusable"])],
+        ["pairs needed if none fails", str(summary["num_pairs_needed"])],
+        ["expected calibration error", _rounded(summary["expected_calibration_error"])],
+        ["the same of accepted poses", _rounded(summary["expected_calibration_error_accepted"])],
+    ]
+    if registered:
+        found = f"{registered['num_registrations']}, best candidate right: {registered['num_right']}"
+        rows.insert(1, ["registrations", found])
+    return rows
+
+
+def _by_kind(border: Row) -> str:
+    kinds = border["wrong_accepted_by_kind"].items()
+    return ", ".join(f"{kind} {num}" for kind, num in kinds) or "none"
 
 
 def _rounded(value: float | None) -> str:

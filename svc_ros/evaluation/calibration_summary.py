@@ -87,10 +87,13 @@ def summarise_calibration(sets: Sequence[JudgedSet], goal: Goal) -> Row:
 
 
 def _counts(sets: Iterable[JudgedSet]) -> Row:
+    sets = list(sets)
     judged = [one for of_set in sets for one in of_set.judged]
+    pairs = [(of_set.name, trial.pair) for of_set in sets for trial in of_set.trials]
     poses = [pose for one in judged for pose in one.poses]
     return {
         "num_pairs": len(pair_scores(poses)),
+        "num_scans": len({(name, scan) for name, pair in pairs for scan in (pair.source, pair.target)}),
         "num_pairs_unusable": sum(bool(one.error) for one in judged),
         "num_right_poses": sum(pose.correct for pose in poses),
         "num_wrong_poses": sum(not pose.correct for pose in poses),

@@ -1,7 +1,7 @@
 // The page of a calibration: two plots and three tables from the numbers in the page.
 const data = JSON.parse(document.getElementById("report-data").textContent);
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
-const share = (value) => (value === null ? "-" : `${(100 * value).toPrecision(3)} %`);
+const share = (value) => (value === null ? "-" : `${Number((100 * value).toPrecision(3))} %`);
 
 function table(id, rows, head) {
   const made = document.createElement("table");
@@ -39,7 +39,7 @@ function drawCurve() {
     line("pairs with a wrong acceptance", c.failed_rate, css("rejected"), { shape: "hv" }),
     { ...line("right poses accepted", c.right_accepted_share, css("accepted"), { shape: "hv" }), yaxis: "y2" },
   ], {
-    ...look(), margin: { l: 70, r: 20, t: 30, b: 45 }, legend: { orientation: "h", y: -0.16 }, hovermode: "x unified",
+    ...look(), margin: { l: 70, r: 20, t: 30, b: 90 }, legend: { orientation: "h", y: -0.2 }, hovermode: "x unified",
     xaxis: { title: { text: "demanded probability" }, range: [0.495, 1.005], anchor: "y2" },
     yaxis: { domain: [0.55, 1], range: [0, top], tickformat: ".1~%", title: { text: "wrong" } },
     yaxis2: { domain: [0, 0.45], range: [0, 1.05], tickformat: ".0%", title: { text: "right" } },
@@ -69,8 +69,8 @@ const digits = (value) => (value === null ? "-" : value.toFixed(2));
 document.getElementById("version").textContent = data.version;
 document.getElementById("title").textContent = data.title;
 document.getElementById("statement").textContent = data.statement;
-table("rows", data.rows);
-table("sets", data.sets, ["data set", "pairs", "present: failed, right", `${data.chosen ? "chosen" : "best"}: failed, right`]);
+table("borders", data.borders.slice(1), data.borders[0]);
+table("counts", data.counts);
 const wrong = data.wrong_accepted.map((w) => [w.dataset, w.pair, w.kind, w.probability.toFixed(4), digits(w.rotation_error_deg), digits(w.translation_error_m)]);
 document.getElementById("wrong-hint").textContent = wrong.length ?
   "Look at these first: a wrong reference looks just like a wrong acceptance." : "None.";
