@@ -26,7 +26,7 @@ def measure(rows: Sequence[Row], answers: Sequence[Answer]) -> dict[str, Any]:
     recorded = np.array([not row.dataset.startswith("simulated") for row in rows])
     groups |= {RECORDED: recorded, ALL: np.ones(len(rows), bool)}
     errors = {name: expected_calibration_error(probability[g], correct[g], _BINS) for name, g in groups.items()}
-    bins = {name: reliability_bins(probability[g], correct[g], _BINS) for name, g in groups.items() if name in (RECORDED, ALL)}
+    bins = {name: reliability_bins(probability[groups[name]], correct[groups[name]], _BINS) for name in (RECORDED, ALL)}
     return {"expected_calibration_error": errors, "reliability": bins}
 
 

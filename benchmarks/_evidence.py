@@ -77,7 +77,8 @@ def _lines(numbers: Numbers, way: str) -> SightLines:
 
 
 def _surface(numbers: Numbers, way: str) -> SeenSurface:
-    counts = {name: int(numbers[f"{name}_{way}"]) for name in ("num_points", "num_confirmed", "num_hidden", "num_unseen")}
+    names = ("num_points", "num_confirmed", "num_hidden", "num_unseen")
+    counts = {name: int(numbers[f"{name}_{way}"]) for name in names}
     denied = np.zeros(int(numbers[f"num_denied_{way}"]), np.int64)
     return SeenSurface(**counts, denied_idx=denied, wide_denied=numbers[f"wide_denied_{way}"])
 

@@ -106,7 +106,8 @@ def features_with_sight_lines(row: Row) -> list[float]:
     """The same and the blocked share, as the logarithm of its share of the oriented overlap."""
     n = row.seen["refined"]
     blocked = max(n[f"blocked_ratio_{way}"] for way in ("source_in_target", "target_in_source"))
-    return [*features_without_sight_lines(row), float(np.log((blocked + 1e-3) / max(n["oriented_overlap_ratio"], 1e-3)))]
+    per_overlap = (blocked + 1e-3) / max(n["oriented_overlap_ratio"], 1e-3)
+    return [*features_without_sight_lines(row), float(np.log(per_overlap))]
 
 
 def answer_denied_share(row: Row, config: Config) -> Answer:
