@@ -34,8 +34,9 @@ _ELSEWHERE = upright(800.0, 500.0, 0.0, 1.0)  # where the map holds the place be
 class DriveConfig:
     """What is driven: everything in the bag follows from these values.
 
-    scene, sensor: names (see `SCENES`, `SENSORS`); spacing_m: way between two scans [m], None for what suits the
-    scene; rate_hz: scans a second; seed: of the world and of the noise; start_ns: stamp of the first scan;
+    scene, sensor: names (see `SCENES`, `SENSORS`; a depth camera's points are told in its optical frame, z ahead);
+    spacing_m: way between two scans [m], None for what suits the scene; rate_hz: scans a second;
+    seed: of the world and of the noise; start_ns: stamp of the first scan;
     moving_share: share of cars or people that move or leave, in [0, 1]; teleport_after: index of the last scan before
     the carrier is put into a different world, so that this scan and the next have no true alignment; there_and_back:
     from half-way on the carrier backs up along the way that it came, so that places are seen twice.
