@@ -56,8 +56,8 @@ def count_rows(summary: Row) -> list[list[str]]:
         ["the same of accepted poses", _rounded(summary["expected_calibration_error_accepted"])],
     ]
     if registered:
-        found = f"{registered['num_registrations']}, best candidate right: {registered['num_right']}"
-        rows.insert(1, ["registrations", found])
+        found = f"{registered['num_registrations']}, right pose found in {registered['num_right']}"
+        rows.insert(1, ["registrations, far apart ones too", found])
     return rows
 
 

@@ -105,10 +105,7 @@ def read_config_file(path: str | Path) -> ConfigFile:
 
 
 def config_to_yaml(config: Config, preset_name: str = "") -> str:
-    """Write every value of a configuration as a parameter file, its meaning, unit and range in a comment above it.
-
-    preset_name: the preset that the configuration started from; "" leaves the key out.
-    """
+    """Write every value as a parameter file, meaning, unit and range in a comment above it; preset "": no such key."""
     return _HEADER.format(preset=preset_name or "(none)") + _parameters(list(walk(config)), preset_name)
 
 
