@@ -16,7 +16,7 @@ from svc_ros.core.config import METHODS, PRESETS, preset, walk
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 
 DOCS = PROJECT_ROOT / "docs"
-PAGES = ("interfaces", "frames", "decisions", "tuning", "integration", "how_it_decides")
+PAGES = ("interfaces", "frames", "decisions", "tuning", "integration", "how_it_decides", "calibrate")
 TEXTS = {name: (DOCS / f"{name}.md").read_text("utf-8") for name in PAGES}
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 CONFIG = {info.name: info.default for info in walk(preset("lidar_outdoor"))}
