@@ -16,7 +16,7 @@ from svc_ros.core import se3
 from svc_ros.core.config import preset, with_values
 from svc_ros.core.decision import decide
 from svc_ros.core.errors import InputError, MissingDependencyError
-from svc_ros.core.evidence import SeenSurface, SightViewEvidence, no_lines
+from svc_ros.core.evidence import SeenSurface, SightLines, SightViewEvidence
 from svc_ros.core.result import Verdict
 from svc_ros.evaluation.report import write_report, write_view
 from svc_ros.evaluation.report_data import Run, choose_drawn, read_run, verdict_of, verdict_strip, worst_decisions
@@ -221,10 +221,10 @@ class TestBorder:
         num = round(10_000 * overlap)
         num_denied = round(denied / (1.0 - denied) * num)
         seen = SeenSurface(10_000, num, np.zeros(num_denied, np.int64), wide * num_denied, 0, 0)
+        lines = SightLines(10_000, 0, np.zeros(0, np.int64), np.zeros(0, np.int64))
         return SightViewEvidence(
-            no_lines(), no_lines(), 1.0, overlap, 0.0, weakest_constraint=structure, source_surface=seen,
-            target_surface=seen,
-        )  # fmt: skip
+            lines, lines, 1.0, overlap, 0.0, weakest_constraint=structure, source_surface=seen, target_surface=seen
+        )
 
     @pytest.mark.parametrize("name", ["lidar_outdoor", "rgbd_indoor"])
     def test_beyond_the_outer_border_nothing_is_accepted_and_before_it_the_best_is(self, name):

@@ -12,7 +12,7 @@ from svc_ros.core.config import Config
 from svc_ros.core.decision import decide
 from svc_ros.core.decision_config import DecisionConfig
 from svc_ros.core.errors import TransformUnavailableError
-from svc_ros.core.evidence import SeenSurface, SightViewEvidence, no_lines
+from svc_ros.core.evidence import SeenSurface, SightLines, SightViewEvidence
 from svc_ros.core.result import Verdict
 from svc_ros.core.scan import Array
 from svc_ros.evaluation.links import Link, join_scans
@@ -72,10 +72,10 @@ def _agreeing(overlap: float, num_denied: int, wide_share: float, structure: flo
     """Two scans of which that share agrees, so many points of each denied, and nothing else against the pose."""
     denied = np.zeros(num_denied, np.int64)
     seen = SeenSurface(_POINTS, round(overlap * _POINTS), denied, wide_share * num_denied, 0, 0)
+    clear = SightLines(_POINTS, 0, denied[:0], denied[:0])
     return SightViewEvidence(
-        no_lines(), no_lines(), overlap, overlap, 0.0,
-        weakest_constraint=structure, source_surface=seen, target_surface=seen,
-    )  # fmt: skip
+        clear, clear, overlap, overlap, 0.0, weakest_constraint=structure, source_surface=seen, target_surface=seen
+    )
 
 
 def stage_times(records: Sequence[Record]) -> dict[str, Any]:
