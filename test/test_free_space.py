@@ -15,7 +15,7 @@ from simulated_scans import moved
 from svc_ros.core import decision, se3
 from svc_ros.core.config import DecisionConfig, SightViewConfig, preset
 from svc_ros.core.errors import InputError
-from svc_ros.core.evidence import SightLines, SightViewEvidence
+from svc_ros.core.evidence import SeenSurface, SightLines, SightViewEvidence
 from svc_ros.core.preprocess import preprocess, thin_free_directions
 from svc_ros.core.registration import register
 from svc_ros.core.result import Reason, Verdict
@@ -139,17 +139,26 @@ def test_directions_must_be_unit_vectors(free):
 
 
 def evidence(filled: int, num_free: int, overlap: float = 0.4, weakest: float = 0.3) -> SightViewEvidence:
-    """Nothing else speaks against the pose."""
+    """Nothing else speaks against the pose: all surface that either sensor could see is confirmed."""
     nothing = np.zeros(0, np.int64)
+    seen = SeenSurface(1000, 1000, nothing, 0.0, 0, 0)
     ways = [SightLines(1000, 500, nothing, nothing, num_free=n, num_free_blocked=b)
             for n, b in ((num_free, filled), (0, 0))]  # fmt: skip
-    return SightViewEvidence(*ways, overlap, overlap, 0.0, weakest_constraint=weakest)
+    return SightViewEvidence(
+        *ways, overlap, overlap, 0.0, weakest_constraint=weakest, source_surface=seen, target_surface=seen
+    )  # fmt: skip
+
+
+DECISION = DecisionConfig(
+    offset=0.0, denied_weight=1.0, wide_denied_weight=1.0, structure_weight=2.0, max_free_blocked_per_overlap=0.15,
+    min_free=100,
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("weakest", [0.3, 0.05], ids=["plain", "weak"])
 @pytest.mark.parametrize("overlap", [0.2, 0.4, 0.8])
 def test_filled_free_space_rejects_beyond_the_border(overlap, weakest):
-    config = DecisionConfig()
+    config = DECISION
     border = config.max_free_blocked_per_overlap * overlap
     good, bad = (evidence(round(f * border * 10_000), 10_000, overlap, weakest) for f in (0.8, 1.2))
     assert decision.decide(good, config).verdict is Verdict.ACCEPTED
@@ -159,14 +168,14 @@ def test_filled_free_space_rejects_beyond_the_border(overlap, weakest):
 
 
 def test_few_directions_count_for_nothing():
-    config = DecisionConfig()
+    config = DECISION
     few, enough = (evidence(n, n) for n in (config.min_free - 1, config.min_free))
     assert decision.decide(few, config).verdict is Verdict.ACCEPTED
     assert decision.decide(enough, config).verdict is Verdict.REJECTED
 
 
-def test_free_space_never_makes_a_margin_larger_nor_a_rival_harmless():
-    config = DecisionConfig()
+def test_free_space_never_makes_a_margin_larger():
+    config = DECISION
     for overlap in (0.05, 0.2, 0.6):
         for weakest in (0.05, 0.3):
             silent = evidence(0, 0, overlap, weakest)
@@ -175,9 +184,13 @@ def test_free_space_never_makes_a_margin_larger_nor_a_rival_harmless():
                 without, beside = (decision.measure_margins(e, config) for e in (silent, telling))
                 assert beside.free <= without.free
                 assert (beside.same_side, beside.overlap) == (without.same_side, without.overlap)
-    judged, rival = evidence(0, 0), evidence(900, 1000)
-    doubts = decision.Doubts([rival], [], [])
-    assert decision.doubt(decision.decide(judged, config), judged, doubts, config).reason is Reason.AMBIGUOUS
+
+
+def test_a_rival_that_fills_free_space_is_less_likely_than_one_of_which_nothing_is_told():
+    judged, silent, filling = evidence(0, 0), evidence(0, 0), evidence(900, 1000)
+    decided = decision.decide(judged, DECISION)
+    for rival, reason in ((silent, Reason.AMBIGUOUS), (filling, Reason.OK)):
+        assert decision.doubt(decided, judged, decision.Doubts([rival], [], []), DECISION).reason is reason
 
 
 def test_without_free_directions_nothing_changes():

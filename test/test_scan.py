@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from svc_ros.core.errors import InputError
-from svc_ros.core.evidence import SightLines, SightViewEvidence
+from svc_ros.core.evidence import SeenSurface, SightLines, SightViewEvidence
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Correspondences, Features, HypothesisSet, PreparedScan, Scan
 
@@ -79,6 +79,7 @@ def test_prepared_scan_and_features_agree_in_length():
     assert features.descriptors.dtype == np.float32
     assert features.keypoints is features.prepared.points
     assert prepared().memo is not prepared().memo
+    assert prepared().range_image is None
 
 
 def test_correspondences_from_elsewhere():
@@ -112,6 +113,38 @@ def test_evidence_as_numbers_keeps_the_directions_apart():
     assert numbers["blocked_ratio_target_in_source"] == 0.1
     assert (numbers["overlap_ratio"], numbers["oriented_overlap_ratio"], numbers["opposed_ratio"]) == (0.5, 0.4, 0.1)
     assert all(type(value) in (int, float) for value in numbers.values())
+
+
+def surface(denied: list[int], confirmed: int, wide: float = 0.0) -> SeenSurface:
+    return SeenSurface(20, confirmed, np.array(denied, np.int64), wide, 2, 3)
+
+
+def test_ratios_of_seen_surface():
+    assert (surface([4, 7], 6).num_denied, surface([4, 7], 6).denied_ratio) == (2, 0.25)
+    assert (surface([], 6).denied_ratio, surface([], 0).denied_ratio, surface([1], 0).denied_ratio) == (0.0, 0.0, 1.0)
+    with pytest.raises(ValueError, match="read-only"):
+        surface([4, 7], 6).denied_idx[0] = 5
+    with pytest.raises(InputError, match=r"SeenSurface\.denied_idx"):
+        SeenSurface(20, 6, np.zeros((2, 2), np.int64), 0.0, 2, 3)
+
+
+def test_denied_surface_of_both_ways_is_one_share():
+    ways = {"source_surface": surface([4, 7], 6, 0.5), "target_surface": surface([1], 3, 0.25)}
+    evidence = SightViewEvidence(lines(8, [1]), lines(10, [3]), 0.5, 0.4, 0.1, **ways)
+    assert evidence.denied_ratio == pytest.approx(3 / 12)
+    assert evidence.wide_denied_ratio == pytest.approx(0.75 / 9.75)
+    numbers = evidence.numbers()
+    assert (numbers["denied_ratio"], numbers["wide_denied_ratio"]) == (
+        evidence.denied_ratio,
+        evidence.wide_denied_ratio,
+    )
+    for way, seen in zip(("source_in_target", "target_in_source"), ways.values(), strict=True):
+        assert numbers[f"denied_ratio_{way}"] == seen.denied_ratio
+        assert numbers[f"wide_denied_{way}"] == seen.wide_denied
+        for name in ("points", "confirmed", "denied", "hidden", "unseen"):
+            assert numbers[f"num_{name}_{way}"] == getattr(seen, f"num_{name}")
+    silent = SightViewEvidence(lines(8, [1]), lines(10, [3]), 0.5, 0.4, 0.1)
+    assert (silent.denied_ratio, silent.wide_denied_ratio, silent.source_surface.num_points) == (0.0, 0.0, 0)
 
 
 @pytest.mark.parametrize("verdict", list(Verdict))

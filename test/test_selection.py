@@ -8,12 +8,13 @@ from assertions import assert_same_bits, assert_same_pose
 from correspondence_cases import KITTI_PAIRS, read_kitti_case
 from scan_cases import T_ROOM, real_pair, room_config, room_scans
 
-from svc_ros.core import paper_rule, se3, selection, shortlist
+from svc_ros.core import decision, paper_rule, se3, selection, shortlist
 from svc_ros.core.config import METHODS, preset, with_values
 from svc_ros.core.hypotheses import generate_hypotheses
 from svc_ros.core.matching import match
 from svc_ros.core.registration import extract_features, register, verify
 from svc_ros.core.result import Reason, Verdict
+from svc_ros.core.stopwatch import Stopwatch
 from svc_ros.io.scan_files import read_scan
 
 
@@ -118,6 +119,78 @@ def test_the_default_refines_what_it_is_given(room):
     result = verify(*room, start, room_config())
     assert result.verdict is Verdict.ACCEPTED
     assert se3.pose_error(result.T_target_source, T_ROOM)[1] < 0.05
+
+
+# The default's parts
+
+
+def pair_of(room, **values: object) -> selection.Pair:
+    source, target = (features.prepared for features in room)
+    return selection.Pair(source, target, room_config(**values), {}, Stopwatch())
+
+
+def settled_at(pair: selection.Pair, T: np.ndarray) -> selection.Settled:
+    return selection._with_slips(pair, T, *pair.look_and_touch(T))
+
+
+def test_poses_are_ranked_by_the_smallest_margin_of_a_glance(room):
+    pair, poses = pair_of(room), [away(x) for x in (0.0, 0.5, 2.0, 25.0)]
+    glances = pair.glance_at_all(poses)
+    promises = [pair.promise(seen) for seen in glances]
+    assert promises[0] == max(promises)
+    assert promises[-1] == min(promises)
+    for T, seen, promise in zip(poses, glances, promises, strict=True):
+        whole = pair.look(T)
+        assert (seen.denied_ratio, seen.weakest_constraint) == (whole.denied_ratio, whole.weakest_constraint)
+        assert seen.source_in_target.num_lines == 0 < whole.source_in_target.num_lines
+        assert promise == decision.measure_margins(whole, pair.config.decision).smallest
+    assert pair.glance_at_all([]) == []
+
+
+def test_a_look_that_touches_sees_what_a_look_sees(room):
+    pair = pair_of(room)
+    assert pair.look_and_touch(away(0.2))[0].numbers() == pair.look(away(0.2)).numbers()
+
+
+@pytest.mark.parametrize("slip_m", [0.5, 2.4])
+def test_the_pose_is_shifted_both_ways_by_the_slip_and_by_half_of_it(room, slip_m):
+    pair = pair_of(room, decision__weak_constraint=1.0, decision__slip_m=slip_m)  # so that every direction is weak
+    settled = settled_at(pair, T_ROOM)
+    assert len(settled.far_slips) == len(settled.near_slips) > 0
+    for slips, distance in ((settled.far_slips, slip_m), (settled.near_slips, 0.5 * slip_m)):
+        shifts = np.array([T[:3, 3] - T_ROOM[:3, 3] for T, _ in slips])
+        np.testing.assert_allclose(np.linalg.norm(shifts, axis=1), distance)
+        np.testing.assert_allclose(shifts[::2], -shifts[1::2], atol=1e-9)
+        for T, seen in slips:
+            np.testing.assert_array_equal(T[:3, :3], T_ROOM[:3, :3])
+            assert seen.denied_ratio == pair.look(T).denied_ratio
+
+
+def test_a_pose_is_shifted_along_the_weakest_direction_and_along_whatever_else_is_weak(room):
+    firmly, weakly = (settled_at(pair_of(room, decision__weak_constraint=c), T_ROOM) for c in (0.0, 1.0))
+    assert (len(firmly.far_slips), len(firmly.near_slips)) == (2, 2)
+    assert len(weakly.far_slips) > 2
+    for (T, _), (also, _) in zip(firmly.far_slips, weakly.far_slips, strict=False):
+        assert_same_bits(T, also)
+
+
+def test_where_a_slip_looks_better_refinement_starts_from_there(room):
+    """From a metre beside the right pose, with an ICP that reaches no farther than it stands."""
+    pair = pair_of(
+        room, decision__weak_constraint=1.0, decision__slip_m=1.0, shortlist__icp_rounds=3,
+        shortlist__icp_distance_m=0.3,
+    )  # fmt: skip
+    start = away(1.0)
+    assert se3.pose_error(pair.refine(start, 3000), T_ROOM)[1] > 0.7
+    assert se3.pose_error(selection._settle(pair, start).T_target_source, T_ROOM)[1] < 0.3
+
+
+def test_the_papers_answer_keeps_what_was_seen_of_the_surfaces(room):
+    result = verify(*room, T_ROOM, room_config(method="svc_paper"))
+    seen = pair_of(room, method="svc_paper").look(T_ROOM)
+    for name in ("denied_ratio", "wide_denied_ratio", "weakest_constraint", "tight_ratio", "overlap_ratio"):
+        assert getattr(result.evidence, name) == getattr(seen, name)
+    assert result.evidence.source_surface.num_confirmed > 100
 
 
 def test_sc2_on_real_correspondences_of_scans_ten_metres_apart(shared_data):

@@ -98,7 +98,7 @@ def look(T, points, normals, nearest, own_normals, origin, limits, image, denied
         y = T[1, 0] * a + T[1, 1] * b + T[1, 2] * c + T[1, 3] - origin[1]
         z = T[2, 0] * a + T[2, 1] * b + T[2, 2] * c + T[2, 3] - origin[2]
         cell, length = -1, 0.0
-        if x != 0.0 or y != 0.0 or z != 0.0:
+        if x * x + y * y + z * z > 0.0:  # a point nearer than squares can tell has no direction
             cell, length = find_cell(x, y, z, rows, turns, columns, starts)
         if cell < 0 or far[cell] <= 0.0:
             num_unseen += 1

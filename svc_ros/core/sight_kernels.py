@@ -76,8 +76,9 @@ def find_blockers(T, points, normals, nearest, origin, limits, grid, found):  # 
     T (4, 4): the other scan's pose in the observer's frame; points, normals (M, 3): its own; nearest (M,): below zero
     where a point lies on nothing of the observer's surface: only such points block; origin (3,): the sensor;
     limits: (tolerance, beam radius, sine of the largest half angle, largest tangent of the incidence angle); grid: the
-    tables of a DirectionGrid (lines (L, 4) ...); found: blocker (N,), by the line's name, the nearest point that blocks it, or -1; blocker_range (N,), its range;
-    observed (L,), by its place in the grid, whether any point that may block lies along the line.
+    tables of a DirectionGrid (lines (L, 4) ...); found: blocker (N,), by the line's name, the nearest point that blocks
+    it, or -1; blocker_range (N,), its range; observed (L,), by its place in the grid, whether any point that may block
+    lies along the line.
     A point p blocks the line to q if the line passes within the beam radius of it, its range is smaller than q's by
     more than the tolerance plus what the surface at q may rise within that radius, and neither surface's tangent
     plane contains the other point within the tolerance.

@@ -101,9 +101,9 @@ def dataset_of_bag(source: BagSource, preset: str, config: Config, num: tuple[in
             )
         used = {int(frames.number[k]) for pair in (*pairs, *negatives) for k in pair}
         _write_scans(bag, topic, source, (used, folder))
-    limits = config.preprocess
+    name, limits = "/".join(source.bag.parts[-2:]), config.preprocess
     return BagDataset(
-        folder, "/".join(source.bag.parts[-2:]), "", preset, limits.min_range_m, limits.max_range_m, np.zeros(3), spacing.success,
+        folder, name, "", preset, limits.min_range_m, limits.max_range_m, np.zeros(3), spacing.success,
         [_pair(frames, *pair) for pair in pairs], [_pair(frames, *pair) for pair in negatives],
     )  # fmt: skip
 
