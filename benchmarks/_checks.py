@@ -85,7 +85,7 @@ def require_same_lines(ours: SightLines, twin: SightLines, exactly: bool = False
     one and not for the other, so that up to _ROUNDED of the lines may differ.
     """
     allowed = 0 if exactly else round(_ROUNDED * ours.num_lines)
-    for name in ("num_lines", "num_observed", "num_scattered"):
+    for name in ("num_lines", "num_observed"):
         if abs(getattr(ours, name) - getattr(twin, name)) > allowed:
             raise DisagreementError(f"{name}: {getattr(ours, name)}, the twin says {getattr(twin, name)}")
     a, b = (set(zip(lines.blocked_idx.tolist(), lines.blocker_idx.tolist(), strict=True)) for lines in (ours, twin))

@@ -11,28 +11,25 @@ import numpy as np
 from _common import config_of
 
 from svc_ros.core import decision, paper_rule, selection
-from svc_ros.core.config import Config, DecisionConfig, with_values
-from svc_ros.core.evidence import SightLines, SightViewEvidence
+from svc_ros.core.config import Config, DecisionConfig
+from svc_ros.core.evidence import SeenSurface, SightLines, SightViewEvidence
 from svc_ros.core.observability import shift
 from svc_ros.core.registration import prepare, verify
 from svc_ros.core.result import Verdict
 from svc_ros.core.scan import Array, PreparedScan
 from svc_ros.core.se3 import invert, pose_error
-from svc_ros.core.sight_view import gather_evidence
+from svc_ros.core.sight_view import gather_evidence, glance
 from svc_ros.core.stopwatch import Stopwatch
 from svc_ros.io.datasets import Candidate, CandidatePair, Dataset
 
-PAPER_CONE_DEG = 0.4438
 Numbers = Mapping[str, float]
 
-# A view is a pose and a way to look at it: refined as `verify` does; as given; refined, with the paper's cone.
-VIEWS = ("refined", "given", "cone")
+VIEWS = ("refined", "given")  # the pose as `verify` refines it, and as it was given
 _EVERY = 10  # one pose in so many is also given to `verify` itself
 OPEN = 10.0  # a border that nothing reaches
 NO_SIGHT_LINES: Mapping[str, Any] = {
-    "free_offset": 100.0, "blocked_weight": 0.0, "scattered_weight": 0.0, "contradicted_weight": 0.0,
-    "tight_weight": 0.0, "max_blocked_per_overlap": OPEN, "max_scattered_per_overlap": OPEN,
-    "max_blocked_where_weak": OPEN, "max_free_blocked_per_overlap": OPEN,
+    "offset": 100.0, "denied_weight": 0.0, "wide_denied_weight": 0.0, "structure_weight": 0.0,
+    "max_free_blocked_per_overlap": OPEN,
 }  # fmt: skip
 
 
@@ -65,17 +62,25 @@ class Row:
 
 
 def evidence_of(numbers: Numbers) -> SightViewEvidence:
-    """Evidence with these numbers; which lines are blocked is not known any more."""
-
-    def lines(way: str) -> SightLines:
-        num_lines, num_blocked = int(numbers[f"num_lines_{way}"]), int(numbers[f"num_blocked_{way}"])
-        names = np.zeros(num_blocked, np.int64)
-        observed, scattered = (round(numbers[f"{name}_ratio_{way}"] * num_lines) for name in ("observed", "scattered"))
-        free = (int(numbers[f"{name}_{way}"]) for name in ("num_free", "num_free_blocked"))
-        return SightLines(num_lines, observed, names, names, scattered, True, *free)
-
+    """Evidence with these numbers; which lines are blocked and which points denied is not known any more."""
     shares = {f.name: numbers[f.name] for f in dataclasses.fields(SightViewEvidence) if f.name in numbers}
-    return SightViewEvidence(lines("source_in_target"), lines("target_in_source"), **shares)
+    ways = ("source_in_target", "target_in_source")
+    lines, seen = ([make(numbers, way) for way in ways] for make in (_lines, _surface))
+    return SightViewEvidence(*lines, **shares, source_surface=seen[0], target_surface=seen[1])
+
+
+def _lines(numbers: Numbers, way: str) -> SightLines:
+    num_lines, num_blocked = int(numbers[f"num_lines_{way}"]), int(numbers[f"num_blocked_{way}"])
+    names, observed = np.zeros(num_blocked, np.int64), round(numbers[f"observed_ratio_{way}"] * num_lines)
+    free = (int(numbers[f"{name}_{way}"]) for name in ("num_free", "num_free_blocked"))
+    return SightLines(num_lines, observed, names, names, *free)
+
+
+def _surface(numbers: Numbers, way: str) -> SeenSurface:
+    names = ("num_points", "num_confirmed", "num_hidden", "num_unseen")
+    counts = {name: int(numbers[f"{name}_{way}"]) for name in names}
+    denied = np.zeros(int(numbers[f"num_denied_{way}"]), np.int64)
+    return SeenSurface(**counts, denied_idx=denied, wide_denied=numbers[f"wide_denied_{way}"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,17 +122,13 @@ def _measure(scans: tuple[PreparedScan, PreparedScan], config: Config, candidate
     pair = selection.Pair(*scans, config, {}, Stopwatch())
     given = candidate.T_target_source
     refined = pair.refine(given, config.shortlist.icp_last_points)
-    cone = with_values(config, {f"sight_view.{end}_cone_deg": PAPER_CONE_DEG for end in ("min", "max")}).sight_view
-    views = {
-        "refined": (refined, config.sight_view), "given": (given, config.sight_view), "cone": (refined, cone)
-    }  # fmt: skip
     seen: dict[str, Numbers] = {}
     slips: dict[str, list[Numbers]] = {}
-    for view, (T, sight_view) in views.items():
-        evidence = gather_evidence(*scans, T, sight_view)
+    for view, T in zip(VIEWS, (refined, given), strict=True):
+        evidence = gather_evidence(*scans, T, config.sight_view)
         seen[view] = evidence.numbers()
         if _may_be_accepted(evidence, config.decision):
-            slips[view] = [gather_evidence(*scans, slip, sight_view).numbers() for slip in slipped(pair, T)]
+            slips[view] = [glance(*scans, slip, config.sight_view).numbers() for slip in slipped(pair, T)]
     in_target, in_source, passed = paper_rule.check_both_ways(*scans, given, config.paper)
     correct = candidate.label == "correct"
     return Row(
@@ -145,10 +146,8 @@ def slipped(pair: selection.Pair, T: Array) -> list[Array]:
 
 
 def _may_be_accepted(evidence: SightViewEvidence, config: DecisionConfig) -> bool:
-    """Whether any rule that is compared might accept it: whatever is blocked or opposed, on one plane alone."""
-    loose = dataclasses.replace(
-        config, **NO_SIGHT_LINES, max_opposed_per_overlap=OPEN, min_constraint=1e-4, weak_constraint=0.0
-    )
+    """Whether any rule that is compared might accept it: whatever is denied or opposed, on one plane alone."""
+    loose = dataclasses.replace(config, **NO_SIGHT_LINES, max_opposed_per_overlap=OPEN, min_constraint=1e-4)
     plain = dataclasses.replace(evidence, oriented_overlap_ratio=evidence.overlap_ratio)
     return any(decision.decide(e, loose).verdict is Verdict.ACCEPTED for e in (evidence, plain))
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from _evidence import NO_SIGHT_LINES, OPEN, Numbers, Row, evidence_of
+from _sensors import sensor_of
 from scipy.optimize import minimize
 
 from svc_ros.core import decision
@@ -36,13 +37,11 @@ SVC = "svc"
 VARIANTS: dict[str, Variant] = {
     SVC: Variant(),
     "svc, not refined": Variant(view="given"),
-    "svc, no sight lines": Variant(borders=NO_SIGHT_LINES),
+    "svc, nothing denied": Variant(borders=NO_SIGHT_LINES),
     "svc, plain overlap": Variant(plain_overlap=True),
     "svc, opposed surfaces allowed": Variant(borders={"max_opposed_per_overlap": OPEN}),
     "svc, one plane is enough": Variant(borders={"min_constraint": 1e-4}),
-    "svc, no stricter where surfaces are weak": Variant(borders={"weak_constraint": 0.0}),
     "svc, no doubt by slips": Variant(slips=False),
-    "svc, cone 0.4438 deg": Variant(view="cone"),
 }
 
 
@@ -104,14 +103,19 @@ def features_without_sight_lines(row: Row) -> list[float]:
 
 
 def features_with_sight_lines(row: Row) -> list[float]:
-    """The same and what is blocked and scattered, as logarithms of shares of the oriented overlap."""
+    """The same and the blocked share, as the logarithm of its share of the oriented overlap."""
     n = row.seen["refined"]
-    agreeing = max(n["oriented_overlap_ratio"], 1e-3)
-    shares = [
-        max(n[f"{kind}_ratio_source_in_target"], n[f"{kind}_ratio_target_in_source"])
-        for kind in ("blocked", "scattered")
-    ]
-    return [*features_without_sight_lines(row), *(float(np.log((s + 1e-3) / agreeing)) for s in shares)]
+    blocked = max(n[f"blocked_ratio_{way}"] for way in ("source_in_target", "target_in_source"))
+    per_overlap = (blocked + 1e-3) / max(n["oriented_overlap_ratio"], 1e-3)
+    return [*features_without_sight_lines(row), float(np.log(per_overlap))]
+
+
+def answer_denied_share(row: Row, config: Config) -> Answer:
+    """The denied share alone: below 0.08 with enough oriented overlap, facing more than one way."""
+    n = row.seen["refined"]
+    enough = n["oriented_overlap_ratio"] > 0.08 and n["constraint_ratio"] > 0.01
+    accepted = enough and not is_moved(row, config) and n["denied_ratio"] < 0.08
+    return accepted, 1.0 - n["denied_ratio"] if enough and not is_moved(row, config) else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,9 +157,10 @@ def fit_logistic(
 
 
 def answer_logistic(rows: Sequence[Row], configs: Configs, describe: Callable[[Row], list[float]]) -> list[Answer]:
-    """Each set's poses by the model fitted on all other sets; poses that refinement moves away are refused."""
+    """Each sensor's poses by the model fitted on all other sensors; poses that refinement moves away are refused."""
     features, correct = np.array([describe(row) for row in rows]), np.array([row.correct for row in rows])
-    names, moved = np.array([row.dataset for row in rows]), np.array([is_moved(r, configs[r.dataset]) for r in rows])
+    names = np.array([sensor_of(row.dataset) for row in rows])
+    moved = np.array([is_moved(r, configs[r.dataset]) for r in rows])
     probability = np.full(len(rows), MOVED_AWAY)
     for name in np.unique(names):
         model = fit_logistic(features[(names != name) & ~moved], correct[(names != name) & ~moved])

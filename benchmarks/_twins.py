@@ -21,7 +21,7 @@ _POSES_AT_A_TIME = 64
 
 @dataclass(frozen=True, eq=False)
 class KdObserver:
-    """A prepared scan with all that its sight lines need and no pose changes: trees, ranges, incidence, sectors."""
+    """A prepared scan with all that its sight lines need and no pose changes: trees, ranges and incidence."""
 
     scan: PreparedScan
     tree: cKDTree
@@ -29,7 +29,6 @@ class KdObserver:
     lines: Array
     ranges: Array
     tangents: Array
-    sectors: IndexArray
 
     @classmethod
     def build(cls, scan: PreparedScan, config: SightViewConfig) -> KdObserver:
@@ -39,15 +38,7 @@ class KdObserver:
         cosine = np.abs(np.einsum("ij,ij->i", lines, scan.normals)) / ranges
         tangents = np.sqrt(np.maximum(1.0 - cosine**2, 0.0)) / np.maximum(cosine, 1e-9)
         tangents = np.minimum(tangents, np.tan(np.radians(config.max_incidence_deg)))
-        azimuth = np.degrees(np.arctan2(lines[:, 1], lines[:, 0])) + 180.0
-        sectors = np.floor(azimuth / config.sector_deg).astype(np.int64)
-        return cls(scan, cKDTree(scan.points), cKDTree(lines / ranges[:, None]), lines, ranges, tangents, sectors)
-
-    def count_scattered(self, blocked: IndexArray, config: SightViewConfig) -> int:
-        """Blocked lines outside the most blocked sectors."""
-        forgiven = min(config.forgiven_sectors, len(np.unique(self.sectors)) // 8)
-        counts = np.sort(np.bincount(self.sectors[blocked], minlength=forgiven))
-        return int(counts[: len(counts) - forgiven].sum())
+        return cls(scan, cKDTree(scan.points), cKDTree(lines / ranges[:, None]), lines, ranges, tangents)
 
 
 def look_by_trees(
@@ -95,7 +86,7 @@ def _blocked_by_trees(
     order = np.lexsort((of_p, p_range[of_p], line))
     blocked, place = np.unique(line[order], return_index=True)
     blocker = alone[of_p[order[place]]]
-    return SightLines(len(scan), num_observed, blocked, blocker, observer.count_scattered(blocked, config))
+    return SightLines(len(scan), num_observed, blocked, blocker)
 
 
 def _pairs_in_cones(observer: KdObserver, directions: Array, angle: Array) -> tuple[IndexArray, IndexArray]:
@@ -113,7 +104,7 @@ def paper_by_trees(observer: KdObserver, other_points: Array, config: PaperConfi
     alone = np.flatnonzero(distance > config.tolerance_m)
     empty = np.zeros(0, np.int64)
     if len(alone) == 0:
-        return SightLines(len(observer.scan), 0, empty, empty, 0)
+        return SightLines(len(observer.scan), 0, empty, empty)
     placed = other_points[alone] - observer.scan.sensor_origin
     placed_range = np.maximum(np.linalg.norm(placed, axis=1), 1e-12)
     own_directions = observer.lines / observer.ranges[:, None]
@@ -121,7 +112,7 @@ def paper_by_trees(observer: KdObserver, other_points: Array, config: PaperConfi
     nearest = np.asarray(cKDTree(directions).query(own_directions)[1])
     in_roi = np.einsum("ij,ij->i", own_directions, directions[nearest]) > config.cone_cosine
     blocked = np.flatnonzero(in_roi & (observer.ranges - placed_range[nearest] > config.tolerance_m))
-    return SightLines(len(observer.scan), int(in_roi.sum()), blocked, alone[nearest[blocked]], len(blocked))
+    return SightLines(len(observer.scan), int(in_roi.sum()), blocked, alone[nearest[blocked]])
 
 
 # --- hypotheses -----------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Where the weights of `DecisionConfig` come from: logistic regression over what contradicts a pose in contact."""
+"""Where the weights of `DecisionConfig` come from: logistic regression over what is denied of a pose in contact."""
 
 from __future__ import annotations
 
@@ -9,21 +9,16 @@ from typing import Any
 import numpy as np
 from _evidence import Row, evidence_of
 from _rules import Answer, Configs, Variant, answer_variant, fit_logistic, is_moved, smallest_margin
+from _sensors import sensor_of, sensors_of, weigh_groups
 
 from svc_ros.core import decision
-from svc_ros.core.scan import Array
 from svc_ros.evaluation.metrics import roc_auc
 
-OFFSET = "free_offset"
-WEIGHTS = ("blocked_weight", "scattered_weight", "contradicted_weight", "tight_weight")
+OFFSET = "offset"
+WEIGHTS = ("denied_weight", "wide_denied_weight", "structure_weight")
 FIELDS = (OFFSET, *WEIGHTS)
-_SIGNS = np.array([-1.0, -1.0, -1.0, 1.0])  # what is blocked speaks against a pose, tight contact for it
+_SIGNS = np.array([-1.0, -1.0, 1.0])  # what is denied speaks against a pose, structure for it
 Weights = dict[str, float]
-
-
-def sets_of(rows: Sequence[Row]) -> list[str]:
-    """Names of the sets, each once, in their order."""
-    return list(dict.fromkeys(row.dataset for row in rows))
 
 
 def in_contact(rows: Sequence[Row], configs: Configs) -> list[Row]:
@@ -39,8 +34,8 @@ def in_contact(rows: Sequence[Row], configs: Configs) -> list[Row]:
 def fit_weights(rows: Sequence[Row], configs: Configs, without: str | None = None) -> Weights:
     """Values of the FIELDS, rounded as they are configured; the weight named `without` is 0, its number unseen.
 
-    Every set and label weighs the same, however many poses it has. Raises ValueError where no right or no wrong pose is
-    in contact.
+    Every sensor and label weighs the same, however many poses it has. Raises ValueError where no right or no wrong pose
+    is in contact.
     """
     rows = in_contact(rows, configs)
     correct = np.array([row.correct for row in rows], bool)
@@ -48,31 +43,25 @@ def fit_weights(rows: Sequence[Row], configs: Configs, without: str | None = Non
         found = f"{correct.sum()} right of {len(rows)}"
         raise ValueError(f"weights: expected right and wrong poses in contact, found {found}")
     used = [k for k, name in enumerate(WEIGHTS) if name != without]
-    numbers = np.array([decision.describe_contradiction(evidence_of(row.seen["refined"])) for row in rows]) * _SIGNS
+    numbers = np.array([decision.describe(evidence_of(row.seen["refined"])) for row in rows]) * _SIGNS
     model = fit_logistic(numbers[:, used], correct, weigh_groups(rows), never_negative=True)
     fitted = dict.fromkeys(FIELDS, 0.0)
     fitted |= {WEIGHTS[k]: round(float(weight), 2) for k, weight in zip(used, model.weights, strict=True)}
-    return fitted | {OFFSET: round(model.offset, 1)}
-
-
-def weigh_groups(rows: Sequence[Row]) -> Array:
-    """Weights (N,) with which every label of every set weighs the same."""
-    names = [f"{row.dataset}: {row.correct}" for row in rows]
-    _, group, sizes = np.unique(names, return_inverse=True, return_counts=True)
-    return np.asarray(1.0 / sizes[group])
+    return fitted | {OFFSET: round(model.offset, 2)}
 
 
 def fit_without_each(rows: Sequence[Row], configs: Configs, without: str | None = None) -> dict[str, Weights]:
-    """The weights for each set, fitted to all others."""
+    """The weights for each sensor, fitted to all others."""
     return {
-        name: fit_weights([row for row in rows if row.dataset != name], configs, without) for name in sets_of(rows)
-    }  # fmt: skip
+        name: fit_weights([row for row in rows if sensor_of(row.dataset) != name], configs, without)
+        for name in sensors_of(rows)
+    }
 
 
 def answer_left_out(rows: Sequence[Row], configs: Configs, without: str | None = None) -> list[Answer]:
-    """What svc answers to each row with the weights of the other sets."""
+    """What svc answers to each row with the weights of the other sensors."""
     fitted = {name: Variant(borders=weights) for name, weights in fit_without_each(rows, configs, without).items()}
-    return [answer_variant(row, configs[row.dataset], fitted[row.dataset]) for row in rows]
+    return [answer_variant(row, configs[row.dataset], fitted[sensor_of(row.dataset)]) for row in rows]
 
 
 def judge_margins(rows: Sequence[Row], configs: Configs, weights: Weights) -> dict[str, Any]:
@@ -97,21 +86,19 @@ def configured_weights(configs: Configs) -> Weights:
 
 
 def compare_weights(rows: Sequence[Row], configs: Configs) -> dict[str, Any]:
-    """Configured and fitted weights, and for each set those of all other sets with their test on it."""
-    configured = configured_weights(configs)
-    tests = {}
+    """Configured and fitted weights, and for each sensor those of all other sensors with their test on it."""
+    configured, counted = configured_weights(configs), in_contact(rows, configs)
+    tests, counts = {}, {}
     for name, weights in fit_without_each(rows, configs).items():
-        tested = [row for row in rows if row.dataset == name]
+        tested = [row for row in rows if sensor_of(row.dataset) == name]
         tests[name] = {
             "weights": weights, **judge_margins(tested, configs, weights),
             "as_configured": judge_margins(tested, configs, configured),
         }  # fmt: skip
-    counted = in_contact(rows, configs)
-    counts = {
-        name: [sum(r.dataset == name and r.correct == label for r in counted) for label in (True, False)]
-        for name in sets_of(rows)
-    }
+        counts[name] = [
+            sum(sensor_of(r.dataset) == name and r.correct == label for r in counted) for label in (True, False)
+        ]
     return {
         "configured": configured, "fitted_to_all": fit_weights(rows, configs),
-        "num_right_and_wrong": counts, "leave_one_set_out": tests,
+        "num_right_and_wrong": counts, "leave_one_sensor_out": tests,
     }  # fmt: skip

@@ -3,8 +3,8 @@
     python benchmarks/decision.py [--data DIR] [--out DIR] [--rows FILE] [--no-simulated]
 
 Also the script that the weights of `DecisionConfig` come from: it fits them to recorded and simulated sets, and again
-with one set left out at a time; and the check of the covariance against the references. Writes decision.json and
-risk-coverage.png.
+with one sensor left out at a time, and tells whether the probabilities of the left-out answers come true; and the check
+of the covariance against the references. Writes decision.json, risk-coverage.png and reliability.png.
 """
 
 from __future__ import annotations
@@ -15,8 +15,11 @@ from collections.abc import Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any
 
+import _calibration
 import _rules
+import _sensors
 import _simulated
+import _simulated_sensors
 import _spread_of_errors
 import _weights
 import numpy as np
@@ -39,10 +42,10 @@ from svc_ros.evaluation.metrics import LabelledDecision, decision_metrics
 RECORDED, ALL = "recorded sets", "all sets"
 COLUMNS = ("precision", "recall", "f1", "num_false_accepted", "roc_auc", "recall_at_precision_99")
 HEAD = ("rule", "precision", "recall", "F1", "false accepts", "AUC", "recall at precision 0.99")
-OTHERS = "svc, weights of the other sets"
+OTHERS = "svc, weights of the other sensors"
 IN_PICTURE = (
-    "svc", OTHERS, "svc, not refined", "svc, no sight lines", "svc_paper", "overlap 0.3", "logistic, no sight lines",
-    "logistic, sight lines",
+    "svc", OTHERS, "svc, not refined", "svc, nothing denied", "denied share alone", "svc_paper", "overlap 0.3",
+    "logistic, no sight lines", "logistic, sight lines",
 )  # fmt: skip
 Answers = dict[str, list[_rules.Answer]]
 
@@ -56,7 +59,8 @@ def main() -> None:
 
     options = parse_options("Compare decision rules on labelled poses.", extend)
     datasets = [d for d in read_datasets(options.data) if d.candidates]
-    simulated = {} if options.no_simulated else {name: preset(given) for name, given in _simulated.PRESETS.items()}
+    given = {} if options.no_simulated else _simulated.PRESETS | _simulated_sensors.PRESETS
+    simulated = {name: preset(of_group) for name, of_group in given.items()}
     configs = {d.name: config_of(d) for d in datasets} | simulated
     rows, run = collect(datasets, options, bool(simulated))
     rows = [row for row in rows if row.dataset in configs]
@@ -67,13 +71,16 @@ def main() -> None:
     same, different = check_against_verify(rows, dict(enumerate(answers[_rules.SVC])))
     console.print(f"verify() itself, asked about {same + different} of {len(rows)} poses, differs on {different}.")
     weights = _weights.compare_weights(rows, configs)
-    print_weights(weights, {name: table[OTHERS] for name, table in tables.items()})
+    print_weights(weights, {name: tables[name][OTHERS] for name in _sensors.sensors_of(rows)})
+    calibration = _calibration.measure(rows, answers[OTHERS])
+    _calibration.show(calibration)
+    _calibration.draw(calibration, options.out / "reliability.png")
     covariance = check_covariance(rows, answers[_rules.SVC], configs)
     draw_risk_coverage(rows, answers, options.out / "risk-coverage.png")
     values = {
         "num_poses": {name: sum(row.dataset == name for row in rows) for name in configs},
         "verify_sample": {"same": same, "different": different},
-        "decision": tables, "weights": weights, "covariance": covariance,
+        "decision": tables, "weights": weights, "calibration": calibration, "covariance": covariance,
     }  # fmt: skip
     write_report(options.out / "decision.json", values, run)
 
@@ -93,6 +100,9 @@ def collect(
         places = [(place, k) for k, place in enumerate(_simulated.places())]
         measured = spread(_simulated.gather_simulated, places, options.workers, "simulated poses")
         rows += [row for at_place in measured for row in at_place]
+        places = [(place, k) for k, place in enumerate(_simulated_sensors.places())]
+        measured = spread(_simulated_sensors.gather_simulated, places, options.workers, "simulated sensors")
+        rows += [row for at_place in measured for row in at_place]
     if kept is not None:
         kept.write_bytes(pickle.dumps((rows, run)))
     return rows, run
@@ -108,6 +118,7 @@ def answer_all(rows: Sequence[Row], configs: _rules.Configs) -> Answers:
     for weight in _weights.WEIGHTS:
         answers[f"{OTHERS}, no {weight.removesuffix('_weight')}"] = _weights.answer_left_out(rows, configs, weight)
     answers["svc_paper"] = [_rules.answer_paper(row) for row in rows]
+    answers["denied share alone"] = [_rules.answer_denied_share(row, configs[row.dataset]) for row in rows]
     answers["overlap 0.3"] = [_rules.answer_overlap(row) for row in rows]
     answers["logistic, no sight lines"] = _rules.answer_logistic(rows, configs, _rules.features_without_sight_lines)
     answers["logistic, sight lines"] = _rules.answer_logistic(rows, configs, _rules.features_with_sight_lines)
@@ -115,9 +126,12 @@ def answer_all(rows: Sequence[Row], configs: _rules.Configs) -> Answers:
 
 
 def tabulate(rows: Sequence[Row], answers: Answers) -> dict[str, dict[str, dict[str, Any]]]:
-    """Metrics by set and rule, of all recorded sets together, and of all sets."""
-    names = _weights.sets_of(rows)
-    groups = {name: {name} for name in names} | {RECORDED: set(names) - set(_simulated.PRESETS), ALL: set(names)}
+    """Metrics by rule: of every set, of every sensor, of all recorded sets together, and of all sets."""
+    names = list(dict.fromkeys(row.dataset for row in rows))
+    recorded = {name for name in names if not name.startswith("simulated")}
+    groups = {name: {name} for name in names} | {RECORDED: recorded, ALL: set(names)}
+    for sensor in _sensors.sensors_of(rows):
+        groups[sensor] = {name for name in names if _sensors.sensor_of(name) == sensor}
     return {
         group: {rule: summarise(rows, given, members) for rule, given in answers.items()}
         for group, members in groups.items()
@@ -136,7 +150,7 @@ def summarise(rows: Sequence[Row], given: Sequence[_rules.Answer], datasets: Set
 
 
 def print_weights(weights: Mapping[str, Any], tested: Mapping[str, Mapping[str, Any]]) -> None:
-    """The weights as configured and as fitted, then the fits without a set and their test on it (`tested`, by set)."""
+    """The weights as configured and as fitted, then the fits without a sensor and their test on it (`tested`)."""
     judged = ("margin_auc", "smallest_right_margin", "largest_wrong_margin")
     counted = ("f1", "num_false_accepted")
     fits = [
@@ -146,13 +160,13 @@ def print_weights(weights: Mapping[str, Any], tested: Mapping[str, Mapping[str, 
     fits += [
         (f"without {name}", *(fit["weights"][field] for field in _weights.FIELDS), *(fit[key] for key in judged),
          *(tested[name][key] for key in counted))
-        for name, fit in weights["leave_one_set_out"].items()
+        for name, fit in weights["leave_one_sensor_out"].items()
     ]  # fmt: skip
     head = (
-        "fit", *(name.removeprefix("free_").removesuffix("_weight") for name in _weights.FIELDS),
+        "fit", *(name.removesuffix("_weight") for name in _weights.FIELDS),
         "AUC", "least right", "most wrong", "F1", "false accepts",
     )  # fmt: skip
-    print_table("Weights fitted without a set, tested on it (AUC and extremes of the smallest margin)", head, fits)
+    print_table("Weights fitted without a sensor, tested on it (AUC and extremes of the smallest margin)", head, fits)
 
 
 def check_covariance(

@@ -27,10 +27,11 @@ from svc_ros.core.features import compute_features
 from svc_ros.core.icp import refine_by_icp
 from svc_ros.core.matching import match
 from svc_ros.core.preprocess import estimate_normals, thin_on_voxel_grid
+from svc_ros.core.range_image import build_range_image
 from svc_ros.core.registration import verify
 from svc_ros.core.scan import Array, Correspondences
 from svc_ros.core.shortlist import order_by_agreement
-from svc_ros.core.sight_view import gather_evidence
+from svc_ros.core.sight_view import gather_evidence, glance
 
 POINTS = (2000, 5000, 10_000, 15_000, 20_000)
 CORRESPONDENCES = (500, 1000, 2000, 3500, 5000)
@@ -81,7 +82,7 @@ def against_points(case: Case, numbers: Sequence[int], rounds: int) -> Table:
 def point_stages(case: Case, pair: SizedPair, share: float) -> Jobs:
     """The stages for scans of one size. The voxel grid gets that share of the raw points.
 
-    `sight view` looks both ways and has its search structures, `first sight view` has to build them.
+    `sight view` and `glance` look both ways and have their search structures, `first sight view` has to build them.
     """
     source, target, config = pair.source, pair.target, pair.config
     raw = case.source.points[spread_indices(len(case.source), int(share * len(case.source)))]
@@ -91,11 +92,13 @@ def point_stages(case: Case, pair: SizedPair, share: float) -> Jobs:
     return {
         "voxel grid": lambda: thin_on_voxel_grid(raw, source.voxel_size_m),
         "normals": lambda: estimate_normals(source.points, source.sensor_origin, config.preprocess),
+        "range image": lambda: build_range_image(raw, source.sensor_origin, 1.0, source.beam_spacing_deg),
         "FPFH": lambda: compute_features(source, config),
         "matching of all": lambda: match(*described, config.matching),
         "first matching": lambda: match(*described, config.matching, config.matching.first_points),
         "first sight view": lambda: gather_evidence(forget(source), forget(target), T, config.sight_view),
         "sight view": lambda: gather_evidence(source, target, T, config.sight_view),
+        "glance": lambda: glance(source, target, T, config.sight_view),
         "pre-scoring": lambda: order_by_agreement(many, source, target, config),
         "ICP": lambda: refine_by_icp(T, source, target, config, config.shortlist.icp_last_points),
         "verify": lambda: verify(source, target, T, config),

@@ -24,23 +24,22 @@ MEASURED = ("decision", "registration", "latest")
 RECORDED, ALL, TRAFFIC, ROOMS = "recorded sets", "all sets", "simulated traffic", "simulated rooms"
 RULES = {  # as decision.py names them -> as the pages do
     "svc": "`svc`",
-    "svc, weights of the other sets": "`svc`, weights fitted without the tested set",
+    "svc, weights of the other sensors": "`svc`, weights fitted without the tested sensor",
     "svc, not refined": "`svc`, not refined",
-    "svc, no sight lines": "`svc`, no sight lines",
-    "logistic, no sight lines": "logistic regression without sight lines, fitted without the tested set",
+    "svc, nothing denied": "`svc`, nothing denied",
+    "denied share alone": "denied share below 0.08 alone, nothing fitted",
+    "logistic, no sight lines": "logistic regression without sight lines, fitted without the tested sensor",
     "overlap 0.3": "overlap of at least 0.3",
     "svc_paper": "`svc_paper`, the published rule",
 }
 PARTS = {  # what is taken away, as decision.py names it -> as the page does
     "svc": "nothing",
     "svc, not refined": "refinement before judging",
-    "svc, no sight lines": "all that sight lines and tightness tell",
+    "svc, nothing denied": "all that the other sensor looked through",
     "svc, plain overlap": "oriented overlap (plain overlap in its place)",
     "svc, opposed surfaces allowed": "`decision.max_opposed_per_overlap`",
     "svc, one plane is enough": "`decision.min_constraint`",
-    "svc, no stricter where surfaces are weak": "`decision.weak_constraint` and what is stricter below it",
     "svc, no doubt by slips": "doubts by slips",
-    "svc, cone 0.4438 deg": "the cone by the sensor's beams (0.44 deg in its place)",
 }
 METHODS = {  # as registration.py names them -> as the pages do
     "svc": "`svc`",
@@ -53,11 +52,10 @@ METHODS = {  # as registration.py names them -> as the pages do
     "KISS-Matcher": "KISS-Matcher, as it says itself",
 }
 WEIGHTS = {  # of DecisionConfig -> the number that it weighs
-    "free_offset": "offset",
-    "blocked_weight": "- log of blocked share over oriented overlap, the worse scan's",
-    "scattered_weight": "- log of the same outside the one or two most blocked sectors",
-    "contradicted_weight": "- log of the blocked share of the lines that meet unmatched surface",
-    "tight_weight": "+ log odds of the share of agreeing points in tight contact",
+    "offset": "offset",
+    "denied_weight": "- log of the denied share of what the other sensor could see, both ways",
+    "wide_denied_weight": "- log of the same, clusters of denied surface counting by the angle they are seen over",
+    "structure_weight": "+ log of the weakest constraint: how much the agreeing surfaces resist a shift",
 }
 OVERLAPS = ("< 0.3", "0.3-0.5", "0.5-0.7", "> 0.7")
 TIMES = {  # README -> where latest.json has it
@@ -83,14 +81,26 @@ def rules_table(results: Report) -> str:
 
 
 def left_out_table(results: Report) -> str:
-    """README: each recorded set by weights that were fitted without it."""
-    tests, tables = results["decision"]["weights"]["leave_one_set_out"], results["decision"]["decision"]
-    rows = [
-        (f"`{name}`", _share(test["margin_auc"]), *_quality(tables[name]["svc, weights of the other sets"]))
-        for name, test in tests.items()
-        if test["margin_auc"] is not None
-    ]
-    return _table(("left out of the fit", "AUC of the margin on it", "F1", "false accepts"), rows)
+    """README: each sensor by weights that were fitted without it, and by the published rule."""
+    tables, rows = results["decision"]["decision"], []
+    errors = results["decision"]["calibration"]["expected_calibration_error"]
+    for name in results["decision"]["weights"]["leave_one_sensor_out"]:
+        own, paper = tables[name]["svc, weights of the other sensors"], tables[name]["svc_paper"]
+        right, wrong = own["num_correct"], own["num_wrong"]
+        counts = (f"{right - _refused(own)} of {right}" if right else "", f"{own['num_false_accepted']} of {wrong}")
+        quality = (_share(own["f1"] if right else None), _share(errors[name]))
+        of_paper = f"{right - _refused(paper)} of {right}" if right else ""
+        rows.append((name, *counts, *quality, of_paper, str(paper["num_false_accepted"])))
+    head = (
+        "sensor left out of the fit", "right poses accepted", "wrong ones accepted", "F1", "calibration error",
+        "right ones accepted by `svc_paper`", "wrong ones",
+    )  # fmt: skip
+    return _table(head, rows)
+
+
+def calibration_error(results: Report) -> str:
+    """Of all answers on left-out sensors."""
+    return _share(results["decision"]["calibration"]["expected_calibration_error"][ALL])
 
 
 def registration_table(results: Report) -> str:
@@ -115,26 +125,26 @@ def overlap_table(results: Report) -> str:
 
 
 def weights_table(results: Report) -> str:
-    """Configured and fitted weights, and how far they move when a set is left out."""
+    """Configured and fitted weights, and how far they move when a sensor is left out."""
     weights = results["decision"]["weights"]
     rows = []
     for name, told in WEIGHTS.items():
-        moved = [test["weights"][name] for test in weights["leave_one_set_out"].values()]
+        moved = [test["weights"][name] for test in weights["leave_one_sensor_out"].values()]
         values = (weights["configured"][name], weights["fitted_to_all"][name])
         rows.append((f"`decision.{name}`", told, *map(str, values), f"{min(moved)} to {max(moved)}"))
-    return _table(("value", "what it weighs", "configured", "fitted to all sets", "with one set left out"), rows)
+    return _table(("value", "what it weighs", "configured", "fitted to all sensors", "with one sensor left out"), rows)
 
 
 def margins_table(results: Report) -> str:
-    """The margins nearest to the border, by set: as configured, and by weights that never saw the set."""
+    """The margins nearest to the border, by sensor: as configured, and by weights that never saw the sensor."""
     counts, rows = results["decision"]["weights"]["num_right_and_wrong"], []
-    for name, test in results["decision"]["weights"]["leave_one_set_out"].items():
+    for name, test in results["decision"]["weights"]["leave_one_sensor_out"].items():
         own, right, wrong = test["as_configured"], *counts[name]
         nearest = [t[key] for key in ("smallest_right_margin", "largest_wrong_margin") for t in (own, test)]
-        rows.append((f"`{name}`" if " " not in name else name, str(right), str(wrong), *map(_margin, nearest)))
+        rows.append((name, str(right), str(wrong), *map(_margin, nearest)))
     head = (
-        "set", "right poses", "wrong poses in contact", "smallest right margin", "the same, set left out of the fit",
-        "largest wrong margin", "the same, set left out of the fit",
+        "sensor", "right poses", "wrong poses in contact", "smallest right margin", "the same, left out of the fit",
+        "largest wrong margin", "the same, left out of the fit",
     )  # fmt: skip
     return _table(head, rows)
 
@@ -150,9 +160,10 @@ def parts_table(results: Report) -> str:
 
 
 def numbers_table(results: Report) -> str:
-    """The same for each of the four weighed numbers, the others fitted again, each set by the weights of the others."""
-    rule = "svc, weights of the other sets"
-    names = {rule: "nothing", **{f"{rule}, no {n}": n for n in ("blocked", "scattered", "contradicted", "tight")}}
+    """The same for each of the weighed numbers, the others fitted again, each sensor by the weights of the others."""
+    rule = "svc, weights of the other sensors"
+    weighed = ("denied", "wide_denied", "structure")
+    names = {rule: "nothing", **{f"{rule}, no {name}": name.replace("_", " ") for name in weighed}}
     recorded, both = results["decision"]["decision"][RECORDED], results["decision"]["decision"][ALL]
     rows = [
         (told, *_quality(recorded[name]), *_quality(both[name]), *(_of_set(results, hard, name) for hard in HARD))
@@ -244,7 +255,7 @@ SECTIONS: dict[str, Callable[[Report], str]] = {
     "by overlap": overlap_table, "weights": weights_table, "margins": margins_table, "parts": parts_table,
     "numbers": numbers_table, "by set": sets_table, "covariance": covariance_table, "borders": borders_table,
     "rooms accepted": rooms_accepted, "traffic refused": traffic_refused, "pose counts": pose_counts,
-    "num registered": num_registered, "times": times_table,
+    "num registered": num_registered, "times": times_table, "calibration error": calibration_error,
 }  # fmt: skip
 
 

@@ -70,7 +70,7 @@ def test_help_answers_at_once_in_a_process_of_its_own():
         [sys.executable, "-m", "svc_ros", "--help"], cwd=PROJECT_ROOT, capture_output=True, text=True, check=True
     )
     assert time.perf_counter() - start < 3.0
-    for command in ("register", "verify", "evaluate", "replay", "simulate", "config", "doctor"):
+    for command in ("register", "verify", "evaluate", "calibrate", "replay", "simulate", "config", "doctor"):
         assert command in done.stdout
 
 

@@ -13,11 +13,11 @@ from bag_recorder import START, S, messages_of
 from replay_cases import CONFIG, WAY, write_room_bag
 
 from svc_ros.core import se3
-from svc_ros.core.evidence import SightLines
+from svc_ros.core.evidence import SeenSurface, SightLines
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
-from svc_ros.evaluation.replay_pictures import MAX_LINES, draw
+from svc_ros.evaluation.replay_pictures import MAX_DENIED, MAX_LINES, draw
 from svc_ros.io.bags import Bag
-from svc_ros.io.pictures import LineGroup, Picture
+from svc_ros.io.pictures import LineGroup, Picture, PointGroup
 from svc_ros.io.result_writer import RecordedTopic, ResultWriter
 from svc_ros.pipeline.replay import replay_pairs
 from svc_ros.pipeline.replay_clouds import ReplayedPair
@@ -27,15 +27,15 @@ T_ODOM_TARGET = se3.make_pose(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), (1
 
 @pytest.fixture(scope="module")
 def decision(tmp_path_factory: pytest.TempPathFactory) -> ReplayedPair:
-    """Two scans of the room, accepted; some lines are said to be blocked."""
+    """Two scans of the room, accepted; some lines are said to be blocked, some points denied."""
     with Bag(write_room_bag(tmp_path_factory.mktemp("pictures") / "room")) as bag:
         found = next(replay_pairs(bag, "/points", CONFIG))
     evidence = found.result.evidence
     assert evidence is not None
     lines = SightLines(500, 400, np.array([3, 7, 9]), np.array([1, 2, 3]))
-    return dataclasses.replace(
-        found, result=dataclasses.replace(found.result, evidence=dataclasses.replace(evidence, source_in_target=lines))
-    )
+    surface = SeenSurface(500, 100, np.array([2, 5]), 1.0, 0, 0)
+    told = dataclasses.replace(evidence, source_in_target=lines, source_surface=surface)
+    return dataclasses.replace(found, result=dataclasses.replace(found.result, evidence=told))
 
 
 def wrote(tmp_path: Path, picture: Picture) -> dict[str, Any]:
@@ -73,6 +73,19 @@ def test_lines_are_few_and_told_apart_by_colour(decision: ReplayedPair) -> None:
     assert picture.label == "accepted: ok"
 
 
+def test_denied_surface_is_red_points_where_the_pose_puts_them(decision: ReplayedPair) -> None:
+    picture = draw(decision, "odom")
+    assert picture is not None
+    assert decision.scans is not None
+    source = decision.scans[0]
+    groups = {group.namespace: group for group in picture.denied}
+    placed = se3.apply(decision.result.best_candidate, source.points[[2, 5]])
+    np.testing.assert_allclose(groups["source_denied"].points, placed, atol=1e-9)
+    assert groups["source_denied"].colour[0] > groups["source_denied"].colour[1]
+    assert groups["source_denied"].size_m == pytest.approx(0.5 * source.voxel_size_m)
+    assert all(len(group.points) <= MAX_DENIED for group in picture.denied)
+
+
 def test_what_was_not_judged_has_no_picture_and_what_was_rejected_no_aligned_cloud(decision: ReplayedPair) -> None:
     assert draw(dataclasses.replace(decision, scans=None), "odom") is None
     result = decision.result
@@ -90,22 +103,26 @@ def small_picture(aligned: bool = True) -> Picture:
     ends = np.array([[1.0, 2, 3], [4, 5, 6]])
     lines = [LineGroup("target_blocked", 1, (0.9, 0.1, 0.1, 1.0), np.array([0.0, 0, 1]), ends)]
     cloud = np.arange(6.0).reshape(2, 3) if aligned else None
+    red = (0.9, 0.1, 0.1, 1.0)
+    denied = [PointGroup("source_denied", 2, red, ends, 0.15)]
     return Picture(
-        "odom", cloud, np.array([[7.0, 8, 9]]), np.array([1.0]), lines, "rejected: low_overlap", np.array([1.0, 1, 1]),
-        (0.9, 0.1, 0.1, 1.0),
+        "odom", cloud, np.array([[7.0, 8, 9]]), np.array([1.0]), lines, denied, "rejected: low_overlap",
+        np.array([1.0, 1, 1]), red,
     )  # fmt: skip
 
 
 def test_messages_of_a_picture(tmp_path: Path) -> None:
     found = wrote(tmp_path, small_picture())
     assert set(found) == {"aligned", "blocked_points", "sight_lines"}
-    first, lines, label = found["sight_lines"].markers
+    first, lines, denied, label = found["sight_lines"].markers
     assert (first.action, lines.action, label.action) == (3, 0, 0)
     assert (lines.ns, lines.id, lines.type, lines.scale.x) == ("target_blocked", 1, 5, 0.02)
     assert [(p.x, p.y, p.z) for p in lines.points] == [(0, 0, 1), (1, 2, 3), (0, 0, 1), (4, 5, 6)]
     assert (lines.color.r, lines.color.a) == (pytest.approx(0.9), 1.0)
+    assert (denied.ns, denied.id, denied.type, denied.scale.x, denied.scale.y) == ("source_denied", 2, 8, 0.15, 0.15)
+    assert [(p.x, p.y, p.z) for p in denied.points] == [(1, 2, 3), (4, 5, 6)]
     assert (label.text, label.type, label.pose.position.z) == ("rejected: low_overlap", 9, 2.0)
-    for message in (first, lines, label, found["aligned"], found["blocked_points"]):
+    for message in (first, lines, denied, label, found["aligned"], found["blocked_points"]):
         assert (message.header.frame_id, message.header.stamp.sec) == ("odom", START // S + 1)
     assert found["aligned"].data.view("<f4").tolist() == [0, 1, 2, 3, 4, 5]
     assert [field.name for field in found["blocked_points"].fields] == ["x", "y", "z", "from_source"]

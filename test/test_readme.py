@@ -21,7 +21,7 @@ from svc_ros.io.results import result_to_json
 
 PROJECT_ROOT = Path(__file__).resolve().parent.parent
 README = (PROJECT_ROOT / "README.md").read_text(encoding="utf-8")
-COMMANDS = ("register", "verify", "view", "evaluate", "replay", "simulate", "config", "doctor")
+COMMANDS = ("register", "verify", "view", "evaluate", "calibrate", "replay", "simulate", "config", "doctor")
 MAX_PICTURE_BYTES = 400_000
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 PROSE = FENCED.sub("", README)

@@ -16,7 +16,7 @@ from svc_ros.core import se3
 from svc_ros.core.config import preset, with_values
 from svc_ros.core.decision import decide
 from svc_ros.core.errors import InputError, MissingDependencyError
-from svc_ros.core.evidence import SightLines, SightViewEvidence
+from svc_ros.core.evidence import SeenSurface, SightLines, SightViewEvidence
 from svc_ros.core.result import Verdict
 from svc_ros.evaluation.report import write_report, write_view
 from svc_ros.evaluation.report_data import Run, choose_drawn, read_run, verdict_of, verdict_strip, worst_decisions
@@ -77,7 +77,7 @@ class TestFile:
         source, target, results = judged()
         scene, packed = make_scene(REJECTED, source, target, results[REJECTED]), data_of(page)["scenes"][REJECTED]
         for side in ("target", "source"):
-            for part in ("points", "clear", "blocked", "blockers"):
+            for part in ("points", "clear", "blocked", "denied"):
                 raw = np.frombuffer(base64.b64decode(packed[side][part]), "<i2").reshape(-1, 3)
                 np.testing.assert_allclose(raw * packed["step_m"], getattr(getattr(scene, side), part), atol=0.01)
         assert len(raw) > 0
@@ -111,16 +111,29 @@ class TestContent:
         assert data["line"] == [0, 1, 2, 3, 4]
         assert data["time_s"] == [0.0, 1.0, 2.0, 3.0, 4.0]
         wrong = records[REJECTED]["evidence"]
-        ways = [wrong["blocked_ratio_source_in_target"], wrong["blocked_ratio_target_in_source"]]
-        assert data["blocked"][REJECTED] == pytest.approx(max(ways), abs=1e-5)
+        assert data["denied"][REJECTED] == pytest.approx(wrong["denied_ratio"], abs=1e-5)
+        assert data["denied"][REJECTED] > 100 * data["denied"][0] > 0
         assert data["overlap"][REJECTED] == pytest.approx(wrong["oriented_overlap_ratio"], abs=1e-4)
         assert data["probability"][REFUSED] is data["overlap"][REFUSED] is None
 
     def test_reasons_come_in_words(self, page):
         told = data_of(page)["told"]
-        assert told[str(REJECTED)]["words"].startswith("one scan has surface where the other looked through")
+        assert told[str(REJECTED)]["words"].startswith("one scan has surface where the other sensor looked through")
         assert told["0"]["words"].startswith("both scans see the same surfaces")
         assert told[str(REFUSED)]["words"] == "too few points after range crop and voxel grid"
+
+    def test_decisions_that_tell_no_denied_share_are_read(self, folder, tmp_path, page):
+        """Of a replay by a version that knew none, and of a method that looks for none."""
+        records = read_jsonl(folder / "decisions.jsonl")
+        older, other = records[0]["evidence"], records[REJECTED]["evidence"]
+        for key in [key for key in older if "denied" in key or key.startswith(("num_points", "num_confirmed"))]:
+            del older[key]
+        other |= dict.fromkeys((key for key in other if key.startswith("num_points")), 0)
+        write_jsonl(tmp_path / "decisions.jsonl", records)
+        write_report(tmp_path / "report.html", tmp_path, [])
+        data = data_of(tmp_path / "report.html")["decisions"]
+        assert data["denied"][:2] == [None, None]
+        assert None not in (*data["overlap"][:3], data["denied"][2])
 
     def test_an_empty_folder_gives_a_page_that_says_what_is_missing(self, tmp_path):
         write_report(tmp_path / "report.html", tmp_path, [])
@@ -187,15 +200,14 @@ class TestStrip:
 
 class TestWorst:
     def test_each_kind_has_its_own_order_and_none_comes_twice(self):
-        def judged_record(verdict, probability, blocked):
-            evidence = {f"blocked_ratio_{way}": blocked for way in ("source_in_target", "target_in_source")}
-            return record(verdict, probability=probability, evidence=evidence)
+        def judged_record(verdict, probability, denied):
+            return record(verdict, probability=probability, evidence={"denied_ratio": denied})
 
         records = [judged_record("accepted", 0.99, 0.0), judged_record("accepted", 0.6, 0.0)]
         records += [judged_record("rejected", 0.4, 0.01), judged_record("rejected", 0.1, 0.3)]
         records += [record("rejected", probability=None), record("dropped", probability=None)]
         assert worst_decisions(records, num_each=1) == [
-            (1, "accepted, least sure"), (2, "not accepted, nearest to acceptance"), (3, "not accepted, most blocked"),
+            (1, "accepted, least sure"), (2, "not accepted, nearest to acceptance"), (3, "not accepted, most denied"),
             (4, "could not be registered"),
         ]  # fmt: skip
 
@@ -205,31 +217,38 @@ class TestWorst:
 
 
 class TestBorder:
-    def evidence(self, overlap: float, blocked: float, good: bool) -> SightViewEvidence:
-        num = round(100_000 * blocked)
-        idx = np.zeros(num, np.int64)
-        lines = SightLines(100_000, 100_000 if good else num, idx, idx, 0 if good else num)
-        return SightViewEvidence(lines, lines, 1.0, overlap, 0.0, tight_ratio=1.0 if good else 0.0)
+    def evidence(self, overlap: float, denied: float, wide: float, structure: float) -> SightViewEvidence:
+        num = round(10_000 * overlap)
+        num_denied = round(denied / (1.0 - denied) * num)
+        seen = SeenSurface(10_000, num, np.zeros(num_denied, np.int64), wide * num_denied, 0, 0)
+        lines = SightLines(10_000, 0, np.zeros(0, np.int64), np.zeros(0, np.int64))
+        return SightViewEvidence(
+            lines, lines, 1.0, overlap, 0.0, weakest_constraint=structure, source_surface=seen, target_surface=seen
+        )
 
-    def test_beyond_the_outer_border_nothing_is_accepted_and_before_it_the_best_is(self):
-        config = preset("lidar_outdoor")
+    @pytest.mark.parametrize("name", ["lidar_outdoor", "rgbd_indoor"])
+    def test_beyond_the_outer_border_nothing_is_accepted_and_before_it_the_best_is(self, name):
+        config = preset(name)
         border = decision_border(config)
         for overlap, outer in list(zip(border["overlap"], border["outer"], strict=True))[1:]:
-            beyond, before = (self.evidence(overlap, share * outer, True) for share in (1.03, 0.97))
+            beyond, before = (self.evidence(overlap, share * outer, 0.1, 1.0 / 3.0) for share in (1.03, 0.97))
             assert decide(beyond, config.decision).verdict is not Verdict.ACCEPTED
             assert decide(before, config.decision).verdict is Verdict.ACCEPTED
 
-    def test_below_the_inner_border_blocked_lines_never_reject_and_beyond_it_they_may(self):
-        config = preset("lidar_outdoor")
+    @pytest.mark.parametrize("name", ["lidar_outdoor", "rgbd_indoor"])
+    def test_below_the_inner_border_denied_surface_never_rejects_and_beyond_it_it_may(self, name):
+        config = preset(name)
         border = decision_border(config)
         for overlap, inner in list(zip(border["overlap"], border["inner"], strict=True))[1:]:
-            beyond, before = (self.evidence(overlap, share * inner, False) for share in (1.05, 0.95))
+            beyond, before = (self.evidence(overlap, share * inner, 1.0, 0.0) for share in (1.05, 0.95))
             assert decide(beyond, config.decision).verdict is Verdict.REJECTED
             assert decide(before, config.decision).verdict is not Verdict.REJECTED
+            assert inner < border["outer"][-1]
 
     def test_it_follows_the_configuration_of_the_run(self, tmp_path):
-        strict = with_values(preset("lidar_outdoor"), {"decision.max_blocked_per_overlap": 0.03})
-        assert decision_border(strict)["outer"][-1] < 0.5 * decision_border(preset("lidar_outdoor"))["outer"][-1]
+        plain = preset("lidar_outdoor")
+        strict = with_values(plain, {"decision.offset": plain.decision.offset - 3.0})
+        assert decision_border(strict)["outer"][-1] < 0.5 * decision_border(plain)["outer"][-1]
 
     def test_other_methods_have_none(self):
         assert decision_border(with_values(preset("lidar_outdoor"), {"method": "svc_paper"})) is None

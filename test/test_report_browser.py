@@ -28,6 +28,10 @@ RED_LINES = """(() => {
   const trace = document.getElementById("view3d").data.find((t) => t.name === "blocked");
   return {num: trace.x.filter((x) => x !== null).length / 2, colour: trace.line.color, visible: trace.visible};
 })()"""
+RED_POINTS = """(() => {
+  const trace = document.getElementById("view3d").data.find((t) => t.name === "denied");
+  return {num: trace.x.length, colour: trace.marker.color, visible: trace.visible};
+})()"""
 BLOCKED_LIGHT, BLOCKED_DARK = "#e02020", "#ff5a5a"
 RINGED = ("timeline", "evidence", "map")
 OVERLAP = "window.svcReport.data.decisions.overlap[{}]"
@@ -138,17 +142,20 @@ def test_the_selector_chooses_a_rejected_pair_with_red_sight_lines_in_its_data(o
     drawn = opened.evaluate(RED_LINES)
     assert drawn["num"] == lines > max(100, few)
     assert drawn["colour"] == BLOCKED_LIGHT
+    points = opened.evaluate(RED_POINTS)
+    assert points["num"] == make_scene(0, source, target, results[REJECTED]).num_denied_drawn > 100
+    assert points["colour"] == BLOCKED_LIGHT
     assert "rejected" in opened.evaluate("document.getElementById('facts').textContent")
     announced = opened.evaluate("document.getElementById('announced').textContent")  # what a screen reader says
     assert announced.startswith(f"Decision {REJECTED}, rejected: one scan has surface")
-    assert "where the other looked through" in opened.evaluate("document.getElementById('facts').textContent")
+    assert "where the other sensor looked through" in opened.evaluate("document.getElementById('facts').textContent")
 
 
 def test_the_page_unpacks_the_coordinates_that_were_packed(opened):
     source, target, results = judged()
     scene = make_scene(REJECTED, source, target, results[REJECTED])
     for side in ("target", "source"):
-        for part in ("points", "clear", "blocked", "blockers"):
+        for part in ("points", "clear", "blocked", "denied"):
             unpacked = opened.evaluate(f"[...window.svcReport.scene({REJECTED}).{side}.{part}]")
             np.testing.assert_allclose(np.reshape(unpacked, (-1, 3)), getattr(getattr(scene, side), part), atol=0.01)
 
@@ -167,8 +174,9 @@ def test_the_canvas_is_not_blank_and_shows_red_lines_of_the_rejected_pair(opened
 def test_a_layer_can_be_taken_away(opened):
     choose(opened, REJECTED)
     before = reddish(picture_of(opened, "#view3d"))
-    opened.evaluate("document.querySelector('#layers input[name=blocked]').click()")
-    assert opened.evaluate(RED_LINES)["visible"] is False
+    for name, what in (("blocked", RED_LINES), ("denied", RED_POINTS)):
+        opened.evaluate(f"document.querySelector('#layers input[name={name}]').click()")
+        assert opened.evaluate(what)["visible"] is False
     assert reddish(picture_of(opened, "#view3d")) < 0.1 * before
     choose(opened, 0)
     assert opened.evaluate(RED_LINES)["visible"] is False  # and stays away

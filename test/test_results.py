@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from svc_ros.core.errors import InputError
-from svc_ros.core.evidence import SightLines, SightViewEvidence
+from svc_ros.core.evidence import SeenSurface, SightLines, SightViewEvidence
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.se3 import make_pose
 from svc_ros.io.results import (
@@ -25,6 +25,9 @@ from svc_ros.io.results import (
 
 CONTRACT = {"verdict", "reason", "T_target_source", "best_candidate", "covariance", "evidence", "counts", "time_ms"}
 EVIDENCE = {
+    "denied_ratio",
+    "wide_denied_ratio",
+    "num_denied_source_in_target",
     "blocked_ratio_source_in_target",
     "blocked_ratio_target_in_source",
     "overlap_ratio",
@@ -36,11 +39,16 @@ EVIDENCE = {
 def accepted() -> RegistrationResult:
     T = make_pose(np.eye(3), [1.0, -2.5, 1 / 3])
     evidence = SightViewEvidence(
-        SightLines(1000, 613, np.arange(7), np.arange(7)),
+        SightLines(1000, 613, np.arange(7), np.arange(7), 40, 3),
         SightLines(900, 500, np.arange(2), np.arange(2)),
         0.7,
         0.6,
         0.1,
+        0.2,
+        0.15,
+        0.9,
+        SeenSurface(900, 500, np.arange(11), 2.25, 120, 80),
+        SeenSurface(1000, 600, np.arange(3), 0.5, 100, 90),
     )
     return RegistrationResult(
         Verdict.ACCEPTED, Reason.OK, "svc", T, T, np.diag(np.arange(1.0, 7.0)) * 1e-4, 0.97, evidence,
@@ -88,6 +96,25 @@ def test_a_result_is_read_back_as_it_was(name: str, request: pytest.FixtureReque
     if result.evidence is not None:
         assert back.evidence is not None
         assert back.evidence.numbers() == result.evidence.numbers()
+
+
+def test_lines_of_an_older_version_are_read(accepted: RegistrationResult) -> None:
+    """They have no denied surface, and shares that are not told any more."""
+    record = result_to_json(accepted)
+    gone = ("denied", "confirmed", "hidden", "unseen", "num_points", "weakest", "constraint", "tight", "num_free")
+    record["evidence"] = {k: v for k, v in record["evidence"].items() if not any(word in k for word in gone)}
+    record["evidence"] |= {"contradicted_ratio": 0.2, "scattered_ratio_source_in_target": 0.01}
+    back = result_from_json(record).evidence
+    assert back is not None
+    assert (back.source_in_target.num_blocked, back.oriented_overlap_ratio) == (7, 0.6)
+    assert (back.source_surface.num_points, back.denied_ratio, back.constraint_ratio) == (0, 0.0, 1.0)
+
+
+def test_which_points_are_denied_is_not_kept(accepted: RegistrationResult) -> None:
+    back = result_from_json(result_to_json(accepted)).evidence
+    assert back is not None
+    assert (back.source_surface.denied_idx == -1).all()
+    assert (back.source_surface.num_denied, back.target_surface.wide_denied) == (11, 0.5)
 
 
 @pytest.mark.parametrize("value", [np.float64(1.5), np.int32(3), np.bool_(True), np.arange(3), Path("a/b"), (1, [2.0])])

@@ -13,7 +13,7 @@ pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
 from rich.console import Console
 
 from svc_ros.core.errors import InputError
-from svc_ros.core.evidence import SightLines, SightViewEvidence
+from svc_ros.core.evidence import SeenSurface, SightLines, SightViewEvidence
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.se3 import make_pose
 from svc_ros.ros.collector import result_from_decision
@@ -29,7 +29,9 @@ PAIRS = expected_pairs(np.arange(1, 5) * NS, POSES, stride=1)
 
 def evidence():
     lines = SightLines(100, 40, np.arange(7), np.arange(7))
-    return SightViewEvidence(lines, SightLines(90, 30, np.arange(0), np.arange(0)), 0.8, 0.7, 0.05)
+    other = SightLines(90, 30, np.arange(0), np.arange(0))
+    surfaces = (SeenSurface(90, 60, np.arange(4), 1.5, 6, 9), SeenSurface(100, 60, np.arange(0), 0.0, 20, 15))
+    return SightViewEvidence(lines, other, 0.8, 0.7, 0.05, 0.2, 0.25, 0.9, *surfaces)
 
 
 def answer(pair, x_error_m=0.0, accepted=True):
@@ -49,7 +51,8 @@ def test_result_is_read_back_from_a_decision():
     result = result_from_decision(answer(PAIRS[0]))
     assert (result.verdict, result.reason, result.method) == (Verdict.ACCEPTED, Reason.OK, "svc")
     assert np.array_equal(result.T_target_source, PAIRS[0].T_target_source)
-    assert result.evidence.numbers() == evidence().numbers()
+    assert result.evidence.numbers() == pytest.approx(evidence().numbers(), abs=1e-8)  # nine digits are told
+    assert result.evidence.denied_ratio == pytest.approx(4 / 124)
     assert (result.probability, result.counts, result.time_ms) == (0.9, {"judged": 2}, {"total": 12.0})
 
 

@@ -6,12 +6,16 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
 
+import dataclasses
+
 import numpy as np
 from mini_data import POSES, pose_between, scan_room
 
 from svc_ros.core.config import preset
+from svc_ros.core.evidence import SeenSurface
 from svc_ros.core.registration import prepare, verify
 from svc_ros.core.scan import Scan
+from svc_ros.core.se3 import apply
 from svc_ros.ros import looks
 from svc_ros.ros.decision import Decision, Look
 from svc_ros.ros.looks import LookOutputs
@@ -73,6 +77,21 @@ def test_sight_lines_are_capped_and_begin_by_deleting_the_last(decision, monkeyp
     lines = [marker for marker in array.markers if marker.type == looks.Marker.LINE_LIST]
     assert lines
     assert all(0 < len(marker.points) <= 14 for marker in lines)
+
+
+def test_denied_surface_comes_as_red_points_beside_the_lines(decision, monkeypatch):
+    denied = SeenSurface(100, 50, np.arange(0, 40, 4), 0.0, 0, 0)
+    evidence = dataclasses.replace(decision.result.evidence, source_surface=denied)
+    array = looks.sight_line_markers(decision.look, evidence, 1)
+    (marker,) = [marker for marker in array.markers if marker.ns == "source_denied"]
+    assert (marker.type, marker.header.frame_id) == (looks.Marker.POINTS, "lidar")
+    assert (marker.color.r, marker.color.g, marker.color.a) == pytest.approx((0.9, 0.1, 1.0))
+    assert marker.scale.x == marker.scale.y == pytest.approx(0.5 * decision.look.source.voxel_size_m)
+    placed = apply(decision.look.T_target_source, decision.look.source.points[denied.denied_idx])
+    np.testing.assert_allclose([(p.x, p.y, p.z) for p in marker.points], placed, atol=1e-9)
+    monkeypatch.setattr(looks, "MAX_DENIED", 3)
+    array = looks.sight_line_markers(decision.look, evidence, 1)
+    assert [len(marker.points) for marker in array.markers if marker.ns == "source_denied"] == [3]
 
 
 def test_a_decision_without_a_judged_pose_draws_nothing(decision):

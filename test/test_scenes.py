@@ -12,6 +12,7 @@ from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import PreparedScan
 from svc_ros.evaluation import scenes
 from svc_ros.evaluation.scenes import SceneKeeper, make_scene
+from svc_ros.evaluation.sight_lines import MAX_DENIED, MAX_LINES
 from svc_ros.io.results import result_from_json, result_to_json
 
 RIGHT, WRONG, NOTHING = 0, 1, 3
@@ -37,20 +38,30 @@ class TestMakeScene:
         assert len(scene.target.clear) == len(target) - scene.target.num_blocked
         assert not rows(scene.target.clear) & rows(scene.target.blocked)
 
-    def test_blockers_are_points_of_the_other_scan_before_the_lines_end(self):
+    @pytest.mark.parametrize("case", [RIGHT, WRONG])
+    def test_red_points_are_surface_that_the_other_sensor_looked_through(self, case):
         source, target, results = judged()
-        scene, lines = make_scene(0, source, target, results[WRONG]), results[WRONG].evidence.source_in_target
-        placed = se3.apply(pose(results[WRONG]), source.points)
-        assert 0 < len(scene.target.blockers) <= scenes.MAX_LINES
-        assert rows(scene.target.blockers) <= rows(placed[lines.blocker_idx])
-        ends = np.linalg.norm(target.points[lines.blocked_idx] - target.sensor_origin, axis=1)
-        standing = np.linalg.norm(placed[lines.blocker_idx] - target.sensor_origin, axis=1)
-        assert (standing < ends).all()
+        scene, evidence, T = make_scene(0, source, target, results[case]), results[case].evidence, pose(results[case])
+        placed = se3.apply(T, source.points[evidence.source_surface.denied_idx])
+        own = target.points[evidence.target_surface.denied_idx]
+        for side, denied in ((scene.source, placed), (scene.target, own)):
+            assert side.num_denied == len(denied)
+            assert len(side.denied) == min(len(denied), MAX_DENIED)
+            assert rows(side.denied) <= rows(denied)
+        assert scene.target.num_seen == len(own) + evidence.target_surface.num_confirmed
+        assert scene.num_denied_drawn == len(scene.source.denied) + len(scene.target.denied) > 0
+
+    def test_the_same_points_are_drawn_each_time(self):
+        source, target, results = judged()
+        first, again = (make_scene(0, source, target, results[WRONG]) for _ in range(2))
+        np.testing.assert_array_equal(first.source.denied, again.source.denied)
+        np.testing.assert_array_equal(first.target.denied, again.target.denied)
 
     def test_a_wrong_pose_shows_red_lines_and_much_more_of_them_than_a_right_one(self):
         source, target, results = judged()
         right, wrong = (make_scene(0, source, target, results[case]) for case in (RIGHT, WRONG))
         assert wrong.num_blocked_drawn > 100
+        assert wrong.num_denied_drawn > 20 * right.num_denied_drawn
         assert wrong.target.num_blocked > 10 * max(right.target.num_blocked, 1)
 
     def test_copies_are_thin_and_say_how_much_there_was(self):
@@ -59,7 +70,7 @@ class TestMakeScene:
         assert (scene.target.num_points, scene.source.num_points) == (len(target), len(source))
         assert len(scene.target.points) == min(len(target), scenes.MAX_POINTS)
         assert scene.target.num_lines == len(target)
-        assert max(len(scene.target.clear), len(scene.source.blocked)) <= scenes.MAX_LINES
+        assert max(len(scene.target.clear), len(scene.source.blocked)) <= MAX_LINES
         assert not np.shares_memory(scene.target.points, target.points)
 
     def test_without_a_pose_the_source_stays_where_it_is_and_no_line_is_drawn(self):
@@ -67,6 +78,7 @@ class TestMakeScene:
         scene = make_scene(0, source, target, results[NOTHING])
         assert scene.T_target_source is None
         assert rows(scene.source.points) <= rows(source.points)
+        assert scene.num_denied_drawn == scene.source.num_denied == scene.source.num_seen == 0
         assert scene.num_blocked_drawn == scene.target.num_lines == len(scene.target.clear) == 0
 
     def test_evidence_without_indices_is_refused(self):

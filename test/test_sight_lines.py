@@ -1,11 +1,11 @@
-"""Which sight lines are drawn."""
+"""Which sight lines and denied points are drawn."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from svc_ros.core.evidence import SightLines
-from svc_ros.evaluation.sight_lines import choose_evenly, choose_lines
+from svc_ros.core.evidence import SeenSurface, SightLines
+from svc_ros.evaluation.sight_lines import MAX_DENIED, choose_denied, choose_evenly, choose_lines
 
 
 def lines(num: int, blocked: list[int]) -> SightLines:
@@ -24,6 +24,15 @@ def test_many_lines_are_thinned_each_kind_for_itself():
     assert set(drawn.clear_idx % 2) == {1}
     assert set(drawn.blocked_idx % 2) == {0}
     assert np.diff(drawn.blocked_idx).max() < 40  # evenly: nowhere a hole
+
+
+def test_denied_points_are_few_and_from_all_of_them():
+    surface = SeenSurface(9000, 100, np.arange(0, 8000, 2), 0.0, 0, 0)
+    chosen = choose_denied(surface)
+    assert len(chosen) == MAX_DENIED
+    assert set(chosen % 2) == {0}
+    assert (chosen[0], chosen[-1], np.diff(chosen).max()) == (0, 7998, 10)
+    assert choose_denied(surface, 9000).tolist() == surface.denied_idx.tolist()
 
 
 def test_an_even_choice_keeps_order_and_both_ends():

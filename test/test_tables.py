@@ -6,9 +6,12 @@ import copy
 import json
 import re
 
+import numpy as np
 import pytest
 from conftest import PROJECT_ROOT
 from test_readme import module_from
+
+from svc_ros.core.seen_surface import look_through
 
 PAGE = PROJECT_ROOT / "docs" / "how_it_decides.md"
 
@@ -95,9 +98,22 @@ def test_missing_results_are_named(tables, tmp_path, monkeypatch, capsys):
 
 def test_the_picture_is_drawn_from_the_configuration(tmp_path):
     pictures = module_from(PROJECT_ROOT / "tools" / "decision_pictures.py")
-    pictures.draw_borders(tmp_path / "border.png")
+    pictures.draw_border(tmp_path / "border.png")
     assert (tmp_path / "border.png").read_bytes().startswith(b"\x89PNG")
     config = pictures.preset("lidar_outdoor").decision
-    few, many = (pictures.probabilities(config, share) for share in (0.1, 0.4))
-    assert few[-1, 0] > 0.5 > few[0, -1]  # tight contact and free lines; loose contact and blocked ones
-    assert (few >= many).all()
+    small, wide = (pictures.probabilities(config, share) for share in pictures.CLUSTERS.values())
+    assert small[0, -1] > 0.5 > small[-1, 0]  # hardly denied and held firmly; much denied and held by next to nothing
+    assert (small >= wide).all()
+
+
+def test_the_picture_of_denied_surface_tells_the_classes_of_the_library():
+    pictures = module_from(PROJECT_ROOT / "tools" / "decision_pictures.py")
+    config = pictures.preset("lidar_outdoor")
+    source, target, T = pictures.simulated_pair(config)
+    placement = pictures.place(target, source, T, config.sight_view)
+    classes, whole = pictures.classify(target, placement, config), look_through(target, placement, config.sight_view)
+    counts = {kind: int((classes == kind).sum()) for kind in pictures.CLASSES}
+    assert [counts[kind] for kind in ("confirmed", "denied", "hidden", "unseen")] == [
+        whole.num_confirmed, whole.num_denied, whole.num_hidden, whole.num_unseen,
+    ]  # fmt: skip
+    assert set(np.flatnonzero(classes == "denied")) == set(whole.denied_idx.tolist())

@@ -41,7 +41,7 @@ def view(files: dict[str, Path], *more: object, source: str = "source", target: 
     return run("view", files[source], files[target], "--result", files["result"], *more)
 
 
-def test_the_page_has_as_many_blocked_lines_as_the_decision(files):
+def test_the_page_has_as_many_blocked_lines_and_denied_points_as_the_decision(files):
     done = view(files, "--out", files["out"])
     assert done.exit_code == 0, done.output
     assert done.stderr == f"wrote {files['out']}\n"
@@ -50,6 +50,8 @@ def test_the_page_has_as_many_blocked_lines_as_the_decision(files):
     (scene,) = data["scenes"]
     assert scene["target"]["num_blocked"] == record["evidence"]["num_blocked_source_in_target"] > 100
     assert scene["source"]["num_blocked"] == record["evidence"]["num_blocked_target_in_source"]
+    assert scene["source"]["num_denied"] == record["evidence"]["num_denied_source_in_target"] > 100
+    assert scene["target"]["num_denied"] == record["evidence"]["num_denied_target_in_source"] > 100
     assert data["told"]["0"]["verdict"] == record["verdict"] == "rejected"
 
 
@@ -111,6 +113,9 @@ def test_every_method_is_looked_at_by_its_own_rule(method):
         ours, theirs = getattr(seen.evidence, name), getattr(told.evidence, name)
         np.testing.assert_array_equal(ours.blocked_idx, theirs.blocked_idx)
         np.testing.assert_array_equal(ours.blocker_idx, theirs.blocker_idx)
+    if method == "svc":
+        ours, theirs = (e.source_surface.denied_idx for e in (seen.evidence, told.evidence))
+        np.testing.assert_array_equal(ours, theirs)
 
 
 def test_a_result_without_a_pose_needs_no_look():

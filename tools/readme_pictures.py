@@ -24,8 +24,8 @@ from svc_ros.io.trajectories import read_tum
 PROJECT_ROOT = Path(__file__).resolve().parent.parent
 PRESET = "lidar_outdoor"
 SHOWN_M = 32.0  # to each side of the sensor
-DRAWN_EVERY = 8  # of the blocked lines; all of their blockers are drawn
-_TARGET, _SOURCE, _BLOCKED = "#9aa3ae", "#1f77b4", "#d62728"
+DRAWN_EVERY = 8  # of the blocked lines; all denied points are drawn
+_TARGET, _SOURCE, _DENIED = "#9aa3ae", "#1f77b4", "#d62728"
 
 
 def shrink(picture: Path, out: Path, width: int = 1300, colours: int = 96) -> None:
@@ -54,8 +54,8 @@ def draw_sight_lines(drive: Path, out: Path) -> None:
         lines = evidence.source_in_target
         axes.set_title(f"{name}: {result.verdict.value}", loc="left", fontsize=15, fontweight="bold")
         axes.set_xlabel(
-            f"{lines.num_blocked} of {lines.num_lines} sight lines blocked, "
-            f"oriented overlap {evidence.oriented_overlap_ratio:.2f}", loc="left", fontsize=12,
+            f"denied surface {evidence.denied_ratio:.1%}, {lines.num_blocked / lines.num_lines:.1%} of the sight lines "
+            f"blocked, oriented overlap {evidence.oriented_overlap_ratio:.2f}", loc="left", fontsize=12,
         )  # fmt: skip
     figure.tight_layout()
     figure.savefig(out.with_suffix(".large.png"), dpi=110)
@@ -70,8 +70,9 @@ def _draw_pose(
     axes.scatter(*target.points[:, :2].T, s=1.2, c=_TARGET, linewidths=0)
     axes.scatter(*placed[:, :2].T, s=1.2, c=_SOURCE, linewidths=0)
     for seen in target.points[lines.blocked_idx[::DRAWN_EVERY]]:
-        axes.plot(*np.stack([target.sensor_origin, seen])[:, :2].T, color=_BLOCKED, linewidth=0.5, alpha=0.6)
-    axes.scatter(*placed[lines.blocker_idx, :2].T, s=9, c=_BLOCKED, linewidths=0, zorder=4)
+        axes.plot(*np.stack([target.sensor_origin, seen])[:, :2].T, color=_DENIED, linewidth=0.5, alpha=0.35)
+    for points, surface in ((placed, evidence.source_surface), (target.points, evidence.target_surface)):
+        axes.scatter(*points[surface.denied_idx, :2].T, s=6, c=_DENIED, linewidths=0, zorder=4)
     axes.plot(*target.sensor_origin[:2], marker="o", markersize=8, color="black", zorder=5)
     axes.set(xlim=(-SHOWN_M, SHOWN_M), ylim=(-SHOWN_M, SHOWN_M), aspect="equal", xticks=[], yticks=[])
 

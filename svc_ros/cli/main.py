@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 import svc_ros
+from svc_ros.cli.calibrate import calibrate
 from svc_ros.cli.config import config
 from svc_ros.cli.doctor_command import doctor
 from svc_ros.cli.evaluate import evaluate
@@ -49,7 +50,7 @@ def start(ctx: typer.Context, version: VersionOption = False) -> None:
         raise InputError("expected a command, found none (see above)")
 
 
-for command in (register, verify, view, evaluate, replay, simulate, config, doctor):
+for command in (register, verify, view, evaluate, calibrate, replay, simulate, config, doctor):
     app.command(command.__name__)(command)
 
 

@@ -11,7 +11,7 @@ from svc_ros.cli.console import key_value_table, make_output_folder, progress, s
 
 # The names stand here as text, because the modules that know them are slow to import; a test compares.
 _SCENES = "street, indoor, corridor, corridor_features"
-_SENSORS = "VLP-16, HDL-32E, HDL-64E, OS1-64, OS0-64, OS1-128"
+_SENSORS = "VLP-16, HDL-32E, HDL-64E, OS1-64, OS0-64, OS1-128, RS-M1, MID-40, XTION, UTM-30LX"
 
 OutOption = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for bag/ and reference_tum.txt.")]
 SceneOption = Annotated[str, typer.Option("--scene", metavar="NAME", help=f"{_SCENES}.")]

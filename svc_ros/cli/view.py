@@ -31,7 +31,9 @@ def view(
     preset: PresetOption = None,
     config_file: ConfigOption = None,
 ) -> None:
-    """Show a decision in 3D: both scans as the judged pose puts them, blocked sight lines red and clear ones green.
+    """Show a decision in 3D: both scans as the judged pose puts them, red where a sensor looked through the other scan.
+
+    Red points are denied surface, red lines blocked sight lines, green lines clear ones.
 
     The preset is that of the decision; a decision made with --config needs the same file here.
     """

@@ -10,11 +10,12 @@ from svc_ros.core.decision_config import DecisionConfig
 from svc_ros.core.evidence import SightViewEvidence
 from svc_ros.core.result import Reason, Verdict
 
-_STRAY = 10  # denied points that no scan is free of: with little confirmed surface they are a large share
+_STRAY = 3  # denied points that no scan is free of: with little confirmed surface they are a large share
 _LEAST_DENIED = 2e-3  # less than that tells nothing any more
 _LEAST_STRUCTURE = 0.03  # added to the resistance, in whose logarithm next to none is not far from none
 _SLOPE = 2.0  # of log odds over the margins that are not fitted
 _DENIED_WEIGHT = 1.5  # a denied point counts as much as this many agreeing ones
+_KEPT_OVERLAP = 0.5  # of the pose's: a slip that loses more is told by that
 _FLOOR = 1e-3  # smallest share that logarithms see
 
 
@@ -60,14 +61,16 @@ def measure_margins(evidence: SightViewEvidence, config: DecisionConfig) -> Marg
     What is denied is weighed together with the structure of the agreeing surface: a wrong pose finds agreement where
     surfaces face one or two ways, seldom all, so that a pose that is held firmly may be denied more, as in traffic.
     """
+    return Margins(_weigh(describe(evidence), config), *_other_margins(evidence, config))
+
+
+def _other_margins(evidence: SightViewEvidence, config: DecisionConfig) -> tuple[float, float, float]:
+    """Those that are not fitted: free, same_side, overlap."""
     agreeing = max(evidence.oriented_overlap_ratio, _FLOOR)
     constraint = max(evidence.constraint_ratio, 0.1 * _FLOOR)
     opposed = math.log(config.max_opposed_per_overlap * agreeing / (evidence.opposed_ratio + _FLOOR))
     overlap = math.log(min(agreeing / config.min_oriented_overlap, constraint / config.min_constraint))
-    return Margins(
-        seen=_weigh(describe(evidence), config), free=_SLOPE * _free_space_margin(evidence, config),
-        same_side=_SLOPE * opposed, overlap=_SLOPE * overlap,
-    )  # fmt: skip
+    return _SLOPE * _free_space_margin(evidence, config), _SLOPE * opposed, _SLOPE * overlap
 
 
 def describe(evidence: SightViewEvidence) -> tuple[float, float, float]:
@@ -164,15 +167,27 @@ class Doubts:
 def doubt(decided: Decision, evidence: SightViewEvidence, doubts: Doubts, config: DecisionConfig) -> Decision:
     """Withdraw an acceptance where a *different* pose is about as good.
 
-    That is one whose odds are less by no more than `rival_odds`; any slip that even looks better tells that refinement
-    stopped short of it.
+    That is another refined pose whose odds are less by no more than `rival_odds`; a slip whose odds by what is denied
+    alone are (the structure is the same), and that keeps half of the overlap; any slip that even looks better, which
+    tells that refinement stopped short of it.
     """
     if decided.verdict is not Verdict.ACCEPTED:
         return decided
-    least, best = measure_margins(evidence, config).smallest - math.log(config.rival_odds), score(evidence)
-    rivals = [e for e in (*doubts.others, *doubts.far_slips) if measure_margins(e, config).smallest > least]
+    near = math.log(config.rival_odds)
+    least, best = measure_margins(evidence, config).smallest - near, score(evidence)
+    rivals = [e for e in doubts.others if measure_margins(e, config).smallest > least]
+    rivals += [e for e in doubts.far_slips if _is_no_worse(e, evidence, near, config)]
     rivals += [e for e in (*doubts.far_slips, *doubts.near_slips) if score(e) > best]
     return _ambiguous(decided, evidence, rivals[0]) if rivals else decided
+
+
+def _is_no_worse(slip: SightViewEvidence, evidence: SightViewEvidence, near: float, config: DecisionConfig) -> bool:
+    """Whether hardly more is denied of a slip than of the pose itself."""
+    if slip.oriented_overlap_ratio < _KEPT_OVERLAP * evidence.oriented_overlap_ratio:
+        return False
+    _, _, structure = describe(evidence)
+    odds = [_weigh((*describe(e)[:2], structure), config) for e in (slip, evidence)]
+    return odds[0] > odds[1] - near and min(*_other_margins(slip, config)) > 0.0
 
 
 def _ambiguous(decided: Decision, evidence: SightViewEvidence, other: SightViewEvidence) -> Decision:

@@ -15,10 +15,10 @@ class DecisionConfig(Group):
     and tested on sensors left out (benchmarks/decision.py).
     """
 
-    offset: float = value(-0.24, "log odds of a right pose: offset", "", -100.0, 100.0)
-    denied_weight: float = value(1.90, "less this times the log of the denied share", "", 0.0, 100.0)
-    wide_denied_weight: float = value(1.88, "and of the same, clusters counting by their angle", "", 0.0, 100.0)
-    structure_weight: float = value(6.69, "plus this times the log of how surfaces resist a shift", "", 0.0, 100.0)
+    offset: float = value(-1.52, "log odds of a right pose: offset", "", -100.0, 100.0)
+    denied_weight: float = value(2.28, "less this times the log of the denied share", "", 0.0, 100.0)
+    wide_denied_weight: float = value(1.54, "and of the same, clusters counting by their angle", "", 0.0, 100.0)
+    structure_weight: float = value(5.86, "plus this times the log of how surfaces resist a shift", "", 0.0, 100.0)
     min_probability: float = value(0.5, "a pose that is less probable is not accepted, but undecided", "", 0.5, 1.0)
     min_oriented_overlap: float = value(0.08, "less oriented overlap is too little to accept", "", 1e-3, 1.0)
     min_constraint: float = value(0.01, "less agreement across two directions is too little", "", 1e-4, 1.0)
@@ -28,7 +28,7 @@ class DecisionConfig(Group):
     firm_structure: float = value(0.20, "of surfaces that hold a pose firmly: denied there is denied", "", 0, 1)
     weak_constraint: float = value(0.13, "along what resists less the pose is shifted, and doubted", "", 0.0, 1.0)
     slip_m: float = value(2.4, "so far, and half as far", "m", 0.01, 100.0)
-    rival_odds: float = value(4.0, "a different pose less likely by no more than this factor is as good", "", 1.0, 1e6)
+    rival_odds: float = value(6.0, "a different pose less likely by no more than this factor is as good", "", 1.0, 1e6)
 
 
 @dataclass(frozen=True)

@@ -53,12 +53,6 @@ class SightLines:
         return self.num_observed / self.num_lines if self.num_lines else 0.0
 
 
-def no_lines() -> SightLines:
-    """Sight lines of which none was looked at."""
-    nothing = np.zeros(0, np.int64)
-    return SightLines(0, 0, nothing, nothing)
-
-
 @dataclass(frozen=True, eq=False)
 class SeenSurface:
     """Surface of one scan, placed by a pose, as the other one's sensor (the observer) saw the place where it stands.

@@ -21,7 +21,7 @@ def find_blocked(observer: PreparedScan, other_points: Array, config: PaperConfi
     alone = np.flatnonzero(distance > config.tolerance_m)
     placed, own = other_points[alone] - observer.sensor_origin, observer.points - observer.sensor_origin
     if len(alone) == 0:
-        return SightLines(len(own), 0, np.zeros(0, np.int64), np.zeros(0, np.int64), 0)
+        return SightLines(len(own), 0, np.zeros(0, np.int64), np.zeros(0, np.int64))
     # A point at the very origin has no direction; it keeps a finite one that is near no other.
     placed_range, own_range = (np.maximum(np.linalg.norm(a, axis=1), 1e-12) for a in (placed, own))
     placed_direction, own_direction = placed / placed_range[:, None], own / own_range[:, None]
@@ -29,7 +29,7 @@ def find_blocked(observer: PreparedScan, other_points: Array, config: PaperConfi
     cosine = np.einsum("ij,ij->i", own_direction, placed_direction[nearest])
     in_roi = cosine > config.cone_cosine
     blocked = np.flatnonzero(in_roi & (own_range - placed_range[nearest] > config.tolerance_m))
-    return SightLines(len(own), int(in_roi.sum()), blocked, alone[nearest[blocked]], len(blocked))
+    return SightLines(len(own), int(in_roi.sum()), blocked, alone[nearest[blocked]])
 
 
 def check_both_ways(

@@ -15,7 +15,7 @@ import numpy as np
 
 from svc_ros.core import se3, sight_kernels
 from svc_ros.core.config import SightViewConfig
-from svc_ros.core.evidence import SeenSurface, SightLines, SightViewEvidence, no_lines
+from svc_ros.core.evidence import SeenSurface, SightLines, SightViewEvidence
 from svc_ros.core.free_space import count_free_blocked
 from svc_ros.core.neighbours import direction_grid, nearest_grid
 from svc_ros.core.parallel import on_all_processors
@@ -24,16 +24,18 @@ from svc_ros.core.scan import Array, PreparedScan
 from svc_ros.core.seen_surface import look_through
 
 Way = tuple[PreparedScan, PreparedScan, Array]
+_NOTHING = np.zeros(0, np.int64)
 
 
 def glance(
     source: PreparedScan, target: PreparedScan, T_target_source: Array, config: SightViewConfig
 ) -> SightViewEvidence:
-    """What decides on a pose, without the blocked lines: what both sensors saw of the other scan's surface."""
-    (in_target, on_source), (in_source, on_target) = (
-        _see(way, config) for way in _both_ways(source, target, T_target_source)
-    )
-    return _evidence((no_lines(), no_lines()), (in_target, in_source), (on_source, on_target))
+    """What decides on a pose: the other scan's surface as both sensors saw it, and free space; no blocked lines."""
+    ways = _both_ways(source, target, T_target_source)
+    (in_target, on_source), (in_source, on_target) = (_see(way, config) for way in ways)
+    free = _free_space(target, in_target, config), _free_space(source, in_source, config)
+    lines = SightLines(0, 0, _NOTHING, _NOTHING, *free[0]), SightLines(0, 0, _NOTHING, _NOTHING, *free[1])
+    return _evidence(lines, (in_target, in_source), (on_source, on_target))
 
 
 def gather_evidence(
@@ -101,6 +103,10 @@ def find_blocked(observer: PreparedScan, placement: Placement, config: SightView
     )  # fmt: skip
     blocked = np.flatnonzero(blocker >= 0)
     blockers = blocker[blocked].astype(np.int64)
-    num_free = len(observer.free_directions)
-    free_blocked = count_free_blocked(observer, placement, config) if num_free else 0
-    return SightLines(num, int(np.count_nonzero(observed)), blocked, blockers, num_free, free_blocked)
+    free = _free_space(observer, placement, config)
+    return SightLines(num, int(np.count_nonzero(observed)), blocked, blockers, *free)
+
+
+def _free_space(observer: PreparedScan, placement: Placement, config: SightViewConfig) -> tuple[int, int]:
+    """Directions in which the observer met nothing, and those of them that the placed scan fills."""
+    return len(observer.free_directions), count_free_blocked(observer, placement, config)

@@ -1,4 +1,4 @@
-"""The sight lines behind a decision that was read from JSON, which tells how many are blocked but not which."""
+"""What is behind a decision that was read from JSON, which tells how many lines and points there are but not which."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FEW, _SHARE = 5, 0.05  # another machine rounds otherwise, and a line at the ve
 def look_again(
     source: PreparedScan, target: PreparedScan, result: RegistrationResult, config: Config
 ) -> RegistrationResult:
-    """The result with the indices of its blocked sight lines, found anew at the pose that it judged.
+    """The result with the indices of its blocked sight lines and denied points, found anew at the pose that it judged.
 
     Raises InputError where scans or configuration are visibly not those of the result: another number of points, or
     of blocked sight lines.

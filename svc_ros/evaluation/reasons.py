@@ -19,7 +19,7 @@ class ReasonText(NamedTuple):
 REASON_TEXTS: Mapping[Reason, ReasonText] = MappingProxyType({
     Reason.OK: ReasonText("the pose is right", "use it"),
     Reason.SIGHT_VIEW_BLOCKED: ReasonText(
-        "one scan has surface where the other looked through, or the same surface seen from both sides",
+        "one scan has surface where the other sensor looked through, or the same surface seen from both sides",
         "nothing, if the places differ; else check sensor_origin, ranges, and that the cloud is of one sensor",
     ),
     Reason.LOW_OVERLAP: ReasonText(
@@ -31,8 +31,7 @@ REASON_TEXTS: Mapping[Reason, ReasonText] = MappingProxyType({
         "a better guess, or scans with more structure",
     ),
     Reason.INSUFFICIENT_EVIDENCE: ReasonText(
-        "contact is too loose for the lines that are blocked, above all where surfaces hardly resist a shift "
-        "(a corridor), or nothing contradicts but too little agrees",
+        "surfaces leave a direction open (a corridor), or too little agrees",
         "wait for a scan with more structure",
     ),
     Reason.TOO_FEW_CORRESPONDENCES: ReasonText(

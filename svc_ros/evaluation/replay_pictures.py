@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from svc_ros.core.evidence import SightLines
+from svc_ros.core.evidence import SeenSurface, SightLines
 from svc_ros.core.result import Verdict
 from svc_ros.core.scan import Array, PreparedScan
 from svc_ros.core.se3 import apply
-from svc_ros.evaluation.sight_lines import MAX_LINES, choose_lines
-from svc_ros.io.pictures import Colour, LineGroup, Picture
+from svc_ros.evaluation.sight_lines import DENIED_SIZE, MAX_DENIED, MAX_LINES, choose_denied, choose_lines
+from svc_ros.io.pictures import Colour, LineGroup, Picture, PointGroup
 from svc_ros.pipeline.stream import StreamDecision
 
 _GREEN: Colour = (0.1, 0.8, 0.2, 0.35)
@@ -46,6 +46,10 @@ def draw(decision: StreamDecision, odometry_frame: str) -> Picture | None:
             *_lines(target, in_target, T_frame_target, "target"),
             *_lines(source, in_source, T_frame_source, "source"),
         ],
+        denied=[
+            *_denied(target, result.evidence.target_surface, T_frame_target, "target"),
+            *_denied(source, result.evidence.source_surface, T_frame_source, "source"),
+        ],
         label=f"{result.verdict.value}: {result.reason.value}",
         label_at=apply(T_frame_source, source.sensor_origin[None])[0],
         label_colour=_VERDICT_COLOURS.get(result.verdict, _RED),
@@ -60,3 +64,11 @@ def _lines(scan: PreparedScan, lines: SightLines, T_frame_scan: Array, side: str
     for number, (kind, colour, idx) in enumerate(kinds):
         if len(idx):
             yield LineGroup(f"{side}_{kind}", number, colour, origin, apply(T_frame_scan, scan.points[idx]))
+
+
+def _denied(scan: PreparedScan, surface: SeenSurface, T_frame_scan: Array, side: str) -> Iterator[PointGroup]:
+    """The points of one scan that the other sensor looked through; none where there are none."""
+    idx = choose_denied(surface, MAX_DENIED)
+    if len(idx):
+        points = apply(T_frame_scan, scan.points[idx])
+        yield PointGroup(f"{side}_denied", 2, _RED, points, DENIED_SIZE * scan.voxel_size_m)

@@ -61,7 +61,7 @@ def write_report(path: Path, folder: Path, scenes: Sequence[Scene], reference: T
         "map": map_from_above(run, reference, drawn),
         "worst": [{"line": line, "why": why} for line, why in worst],
     }
-    _write_page(Path(path), page)
+    write_page(Path(path), page)
 
 
 def write_view(path: Path, record: Record, scene: Scene, title: str) -> None:
@@ -70,7 +70,7 @@ def write_view(path: Path, record: Record, scene: Scene, title: str) -> None:
     Raises InputError where the page cannot be written, MissingDependencyError without plotly.
     """
     page = {**_frame("view", [record], {scene.index: record}, [scene]), "title": title, "notes": [], "summary": []}
-    _write_page(Path(path), page)
+    write_page(Path(path), page)
 
 
 def _frame(
@@ -116,9 +116,15 @@ def _flat(values: Mapping[str, Any], above: str = "") -> list[list[Any]]:
     return rows
 
 
-def _write_page(path: Path, data: Mapping[str, Any]) -> None:
+def write_page(
+    path: Path, data: Mapping[str, Any], page_name: str = "page.html", names: Sequence[str] = _SCRIPTS
+) -> None:
+    """Write `data`, which has a title, with a page of `report_page`, scripts of these names and plotly, in one file.
+
+    Raises InputError where it cannot be written, MissingDependencyError without plotly.
+    """
     shell = resources.files("svc_ros.evaluation") / "report_page"
-    scripts = "\n".join((shell / name).read_text("utf-8") for name in _SCRIPTS)
+    scripts = "\n".join((shell / name).read_text("utf-8") for name in names)
     parts = {
         "TITLE": html.escape(f"{data['title']} - svc_ros"),
         "STYLE": (shell / "style.css").read_text("utf-8"),
@@ -126,7 +132,7 @@ def _write_page(path: Path, data: Mapping[str, Any]) -> None:
         "DATA": json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
         "SCRIPTS": scripts,
     }
-    pieces = (shell / "page.html").read_text("utf-8").split("@@")  # text, name, text, name ... text
+    pieces = (shell / page_name).read_text("utf-8").split("@@")  # text, name, text, name ... text
     page = "".join(parts[piece] if k % 2 else piece for k, piece in enumerate(pieces))
     try:
         path.write_text(page, encoding="utf-8")

@@ -92,11 +92,15 @@ def overlap_of(record: Record) -> float | None:
     return None if value is None else float(value)
 
 
-def blocked_of(record: Record) -> float | None:
-    """Blocked share of the sight lines of the scan that has more of it, in [0, 1]; None where nothing was judged."""
+def denied_of(record: Record) -> float | None:
+    """Denied share of the surface that either sensor could see, in [0, 1].
+
+    None where neither looked: nothing was judged, by another method, or by a version that knew no denied surface.
+    """
     evidence = record.get("evidence") or {}
-    shares = [evidence[f"blocked_ratio_{way}"] for way in _WAYS if f"blocked_ratio_{way}" in evidence]
-    return float(max(shares)) if shares else None
+    value = evidence.get("denied_ratio")
+    is_seen = any(evidence.get(f"num_points_{way}", 1) for way in _WAYS)
+    return float(value) if value is not None and is_seen else None
 
 
 def choose_drawn(records: Sequence[Record], wanted: Iterable[int], max_drawn: int = MAX_DRAWN) -> list[int]:
@@ -124,11 +128,11 @@ def decision_columns(records: Sequence[Record], drawn: Sequence[int]) -> dict[st
             "reason": str(records[k].get("reason", "")),
             "probability": _rounded(records[k].get("probability"), 4),
             "overlap": _rounded(overlap_of(records[k]), 4),
-            "blocked": _rounded(blocked_of(records[k]), 5),
+            "denied": _rounded(denied_of(records[k]), 5),
         }
         for k in drawn
     ]
-    names = ("line", "time_s", "verdict", "reason", "probability", "overlap", "blocked")
+    names = ("line", "time_s", "verdict", "reason", "probability", "overlap", "denied")
     return {name: [row[name] for row in rows] for name in names}
 
 
@@ -163,7 +167,7 @@ def worst_decisions(records: Sequence[Record], num_each: int = 5) -> list[tuple[
         ("accepted, farthest from the reference", with_error, lambda k: -records[k]["translation_error_m"]),
         ("accepted, least sure", accepted, lambda k: records[k]["probability"]),
         ("not accepted, nearest to acceptance", others, lambda k: -records[k]["probability"]),
-        ("not accepted, most blocked", others, lambda k: -(blocked_of(records[k]) or 0.0)),
+        ("not accepted, most denied", others, lambda k: -(denied_of(records[k]) or 0.0)),
         ("could not be registered", failed, lambda k: k),
     ]
     found: dict[int, str] = {}

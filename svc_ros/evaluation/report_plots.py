@@ -12,9 +12,9 @@ from svc_ros.core.config import Config
 from svc_ros.core.decision import decide
 from svc_ros.core.decision_config import DecisionConfig
 from svc_ros.core.errors import TransformUnavailableError
-from svc_ros.core.evidence import SightLines, SightViewEvidence
+from svc_ros.core.evidence import SeenSurface, SightLines, SightViewEvidence
 from svc_ros.core.result import Verdict
-from svc_ros.core.scan import Array, IndexArray
+from svc_ros.core.scan import Array
 from svc_ros.evaluation.links import Link, join_scans
 from svc_ros.evaluation.metrics import percentile
 from svc_ros.evaluation.report_data import Record, Run, verdict_of
@@ -22,15 +22,18 @@ from svc_ros.evaluation.sight_lines import choose_evenly
 from svc_ros.io.trajectories import Trajectory
 
 MAX_PATH_POINTS = 3000
-_LINES = 10_000  # of the made-up evidence that finds the border: its resolution is one in so many
+_POINTS = 10_000  # of each made-up scan that finds the border: its resolution is one in the agreeing ones
+_MOST_DENIED = 20 * _POINTS
+_SMALL = 0.1  # of the angle at which clusters count fully: a person, not a wall
 
 
 def decision_border(config: Config) -> dict[str, Any] | None:
-    """Where blocked share and overlap alone decide; None for methods that decide otherwise.
+    """Where denied share and overlap alone decide; None for methods that decide otherwise.
 
-    min_overlap: less is never accepted; outer (K,) at overlap (K,): more blocked than this is never accepted, however
-    good all else is; inner (K,): less is never rejected for it, however bad contact and scatter are. In between the
-    other evidence decides. Both are found by asking the decision itself.
+    min_overlap: less is never accepted; outer (K,) at overlap (K,): where more than this is denied nothing is accepted,
+    though surfaces face all ways and small clusters are denied; inner (K,): less is never rejected for it, though
+    surfaces leave a direction open and one wide cluster is denied. In between, structure and clusters decide. Both
+    borders are found by asking the decision itself.
     """
     if config.method != "svc":
         return None
@@ -39,36 +42,40 @@ def decision_border(config: Config) -> dict[str, Any] | None:
     return {
         "min_overlap": limits.min_oriented_overlap,
         "overlap": overlap.round(4).tolist(),
-        "outer": [_last_blocked(_accepted_at_best, x, limits) for x in overlap.tolist()],
-        "inner": [_last_blocked(_not_rejected_at_worst, x, limits) for x in overlap.tolist()],
+        "outer": [_last_denied(_accepted_at_best, x, limits) for x in overlap.tolist()],
+        "inner": [_last_denied(_not_rejected_at_worst, x, limits) for x in overlap.tolist()],
     }
 
 
-def _last_blocked(holds: Callable[[float, int, DecisionConfig], bool], overlap: float, limits: DecisionConfig) -> float:
-    """The largest blocked share up to which `holds` is true."""
-    low, high = 0, _LINES
+def _last_denied(holds: Callable[[float, int, DecisionConfig], bool], overlap: float, limits: DecisionConfig) -> float:
+    """The largest denied share up to which `holds` is true."""
+    low, high = 0, _MOST_DENIED
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (middle, high) if holds(overlap, middle, limits) else (low, middle)
-    return low / _LINES
+    return round(_agreeing(overlap, low, 0.0, 0.0).denied_ratio, 5)
 
 
-def _accepted_at_best(overlap: float, num_blocked: int, limits: DecisionConfig) -> bool:
-    """Blocked by one moving object, among much surface that the other scan lacks, all else in full agreement."""
-    blocked = SightLines(_LINES, _LINES, _idx(num_blocked), _idx(num_blocked), num_scattered=0)
-    evidence = SightViewEvidence(blocked, SightLines(_LINES, _LINES, _idx(0), _idx(0)), 1.0, overlap, 0.0)
+def _accepted_at_best(overlap: float, num_denied: int, limits: DecisionConfig) -> bool:
+    """What is denied is seen as small clusters, and the surfaces that agree face all ways alike."""
+    evidence = _agreeing(overlap, num_denied, _SMALL, 1.0 / 3.0)
     return decide(evidence, limits).verdict is Verdict.ACCEPTED
 
 
-def _not_rejected_at_worst(overlap: float, num_blocked: int, limits: DecisionConfig) -> bool:
-    """Blocked on all sides, every line that can be, and the surfaces in loose contact."""
-    blocked = SightLines(_LINES, num_blocked, _idx(num_blocked), _idx(num_blocked))
-    evidence = SightViewEvidence(blocked, blocked, 1.0, overlap, 0.0, tight_ratio=0.0)
+def _not_rejected_at_worst(overlap: float, num_denied: int, limits: DecisionConfig) -> bool:
+    """What is denied is one wide cluster, and the surfaces that agree leave a direction open."""
+    evidence = _agreeing(overlap, num_denied, 1.0, 0.0)
     return decide(evidence, limits).verdict is not Verdict.REJECTED
 
 
-def _idx(num: int) -> IndexArray:
-    return np.zeros(num, np.int64)
+def _agreeing(overlap: float, num_denied: int, wide_share: float, structure: float) -> SightViewEvidence:
+    """Two scans of which that share agrees, so many points of each denied, and nothing else against the pose."""
+    denied = np.zeros(num_denied, np.int64)
+    seen = SeenSurface(_POINTS, round(overlap * _POINTS), denied, wide_share * num_denied, 0, 0)
+    clear = SightLines(_POINTS, 0, denied[:0], denied[:0])
+    return SightViewEvidence(
+        clear, clear, overlap, overlap, 0.0, weakest_constraint=structure, source_surface=seen, target_surface=seen
+    )
 
 
 def stage_times(records: Sequence[Record]) -> dict[str, Any]:

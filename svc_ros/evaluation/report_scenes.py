@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from svc_ros.evaluation.scenes import Scene, SideView
 
-PARTS = ("points", "clear", "blocked", "blockers")
+PARTS = ("points", "clear", "blocked", "denied")
+_COUNTS = ("num_points", "num_lines", "num_blocked", "num_denied", "num_seen")
 _MOST = 32767
 
 
@@ -37,7 +38,7 @@ def _largest(scene: Scene) -> float:
 
 def _side_to_json(side: SideView, step_m: float) -> dict[str, Any]:
     texts = {part: _text(getattr(side, part), step_m) for part in PARTS}
-    numbers = {"num_points": side.num_points, "num_lines": side.num_lines, "num_blocked": side.num_blocked}
+    numbers = {name: getattr(side, name) for name in _COUNTS}
     return {"origin": [round(float(value), 4) for value in side.origin], **numbers, **texts}
 
 

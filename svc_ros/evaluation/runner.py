@@ -143,11 +143,14 @@ def _run_jobs(
             if on_progress is not None:
                 on_progress(done, total)
 
-    if not isinstance(workers, int):
-        crew = workers
-    else:
-        crew = cast(Crew, _one_by_one if alone else partial(_over_processes, min(workers, total)))
+    crew = crew_of(workers, total) if isinstance(workers, int) else workers
     return [report for of_chunk in crew(run_chunk, chunks, count) for report in of_chunk]
+
+
+def crew_of(workers: int, num_items: int) -> Crew:
+    """This process alone, or so many others, though no more than there are items."""
+    alone = min(workers, num_items) <= 1
+    return cast(Crew, _one_by_one if alone else partial(_over_processes, min(workers, num_items)))
 
 
 def _chunks(given: tuple[Dataset, Config], jobs: Sequence[Job], size: int) -> list[Chunk]:

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from svc_ros.core import se3
 from svc_ros.core.errors import InputError
-from svc_ros.core.evidence import SightLines
+from svc_ros.core.evidence import SeenSurface, SightLines
 from svc_ros.core.result import RegistrationResult
-from svc_ros.core.scan import Array, PreparedScan
-from svc_ros.evaluation.sight_lines import MAX_LINES, choose_evenly, choose_lines
+from svc_ros.core.scan import Array, IndexArray, PreparedScan
+from svc_ros.evaluation.sight_lines import choose_denied, choose_evenly, choose_lines
 
 MAX_POINTS = 5000  # of each scan: more are not told apart on a screen
 
@@ -25,18 +25,20 @@ class SideView:
     """What is drawn of one scan of a pair, all of it (N, 3) [m] in the target's frame.
 
     points: the thinned scan; origin: (3,), where its sensor stood; clear, blocked: ends of sight lines that start
-    there; blockers: points of the *other* scan that stand in the way of its lines; num_points, num_lines, num_blocked:
-    how many there were before thinning.
+    there; denied: its points where the *other* scan's sensor looked through; num_points, num_lines, num_blocked,
+    num_denied: how many there were before thinning; num_seen: points that the other sensor denied or confirmed.
     """
 
     points: Points
     origin: Points
     clear: Points
     blocked: Points
-    blockers: Points
+    denied: Points
     num_points: int
     num_lines: int
     num_blocked: int
+    num_denied: int
+    num_seen: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,50 +59,54 @@ class Scene:
         """Red sight lines in the picture."""
         return len(self.target.blocked) + len(self.source.blocked)
 
+    @property
+    def num_denied_drawn(self) -> int:
+        """Red points in the picture."""
+        return len(self.target.denied) + len(self.source.denied)
+
 
 def make_scene(index: int, source: PreparedScan, target: PreparedScan, result: RegistrationResult) -> Scene:
-    """Thin copies of both scans, placed by the judged pose, with the sight lines that the evidence tells of.
+    """Thin copies of both scans, placed by the judged pose, with the evidence's sight lines and denied surface.
 
-    Raises InputError where the evidence belongs to other scans, or tells only how many lines are blocked.
+    Raises InputError where the evidence belongs to other scans, or tells only how many lines and points there are.
     """
     evidence, T = result.evidence, result.best_candidate
-    seen = None if evidence is None else (evidence.source_in_target, evidence.target_in_source)
-    T_source_target = None if T is None else se3.invert(T)
-    return Scene(
-        index,
-        _side(target, source, np.eye(4), T, None if seen is None else seen[0]),
-        _side(source, target, np.eye(4) if T is None else T, T_source_target, None if seen is None else seen[1]),
-        T,
+    if evidence is None or T is None:
+        return Scene(index, _side(target, np.eye(4), None), _side(source, np.eye(4) if T is None else T, None), T)
+    of_target = evidence.source_in_target, evidence.target_surface
+    of_source = evidence.target_in_source, evidence.source_surface
+    return Scene(index, _side(target, np.eye(4), of_target), _side(source, T, of_source), T)
+
+
+def _side(scan: PreparedScan, T_target_scan: Array, seen: tuple[SightLines, SeenSurface] | None) -> SideView:
+    """seen: the scan's own sight lines, and its surface as the other sensor saw it."""
+
+    def placed(idx: IndexArray) -> Points:
+        return se3.apply(T_target_scan, scan.points[idx]).astype(np.float32)
+
+    num = len(scan)
+    shown = placed(choose_evenly(np.arange(num), MAX_POINTS))
+    origin = se3.apply(T_target_scan, scan.sensor_origin[None])[0].astype(np.float32)
+    if seen is None:
+        nothing = np.zeros((0, 3), np.float32)
+        return SideView(shown, origin, nothing, nothing, nothing, num, 0, 0, 0, 0)
+    lines, surface = seen
+    for name, idx in (("blocked", lines.blocked_idx), ("denied", surface.denied_idx)):
+        _check_indices(name, idx, num)
+    clear, blocked = (placed(idx) for idx in choose_lines(lines, num))
+    denied = placed(choose_denied(surface))
+    num_seen = surface.num_denied + surface.num_confirmed
+    return SideView(
+        shown, origin, clear, blocked, denied, num, lines.num_lines, lines.num_blocked, surface.num_denied, num_seen
     )
 
 
-def _side(
-    observer: PreparedScan, other: PreparedScan, T_target_observer: Array, T_observer_other: Array | None,
-    lines: SightLines | None,
-) -> SideView:  # fmt: skip
-    def placed(points: Array) -> Points:
-        return se3.apply(T_target_observer, points).astype(np.float32)
-
-    shown = placed(observer.points[choose_evenly(np.arange(len(observer)), MAX_POINTS)])
-    (origin,) = placed(observer.sensor_origin[None])
-    if lines is None or T_observer_other is None:
-        nothing = np.zeros((0, 3), np.float32)
-        return SideView(shown, origin, nothing, nothing, nothing, len(observer), 0, 0)
-    _check_lines(lines, observer, other)
-    drawn = choose_lines(lines, len(observer))
-    blocker_idx = choose_evenly(np.unique(lines.blocker_idx), MAX_LINES)
-    blockers = placed(se3.apply(T_observer_other, other.points[blocker_idx]))
-    clear, blocked = (placed(observer.points[idx]) for idx in drawn)
-    return SideView(shown, origin, clear, blocked, blockers, len(observer), lines.num_lines, lines.num_blocked)
-
-
-def _check_lines(lines: SightLines, observer: PreparedScan, other: PreparedScan) -> None:
-    for name, idx, num in (("blocked", lines.blocked_idx, len(observer)), ("blocker", lines.blocker_idx, len(other))):
-        if len(idx) and not (idx.min() >= 0 and idx.max() < num):
-            raise InputError(
-                f"scene: expected {name} indices from 0 to {num - 1}, found {idx.min()} to {idx.max()}: "
-                "the evidence is not of these scans, or was read from JSON, which keeps no indices"
-            )
+def _check_indices(name: str, idx: IndexArray, num: int) -> None:
+    if len(idx) and not (idx.min() >= 0 and idx.max() < num):
+        raise InputError(
+            f"scene: expected {name} indices from 0 to {num - 1}, found {idx.min()} to {idx.max()}: "
+            "the evidence is not of these scans, or was read from JSON, which keeps no indices"
+        )
 
 
 class SceneKeeper:

@@ -1,4 +1,4 @@
-"""Which sight lines of a scan are drawn: one choice for RViz and for the report."""
+"""Which sight lines and denied points of a scan are drawn: one choice for RViz and for the report."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from svc_ros.core.evidence import SightLines
+from svc_ros.core.evidence import SeenSurface, SightLines
 from svc_ros.core.scan import IndexArray
 
 MAX_LINES = 400  # of each kind and scan: more is a ball of wool, and each costs time
+MAX_DENIED = 1000  # denied points of each scan: they show which surface it is
+DENIED_SIZE = 0.5  # of the voxels, when they are drawn: neighbours look like the surface that they are
 
 
 class DrawnLines(NamedTuple):
@@ -29,6 +31,11 @@ def choose_lines(lines: SightLines, num_points: int, max_lines: int = MAX_LINES)
     return DrawnLines(
         choose_evenly(np.flatnonzero(is_clear), max_lines), choose_evenly(np.flatnonzero(~is_clear), max_lines)
     )
+
+
+def choose_denied(surface: SeenSurface, max_denied: int = MAX_DENIED) -> IndexArray:
+    """At most `max_denied` of the points that the other sensor looked through, evenly chosen."""
+    return choose_evenly(surface.denied_idx, max_denied)
 
 
 def choose_evenly(indices: IndexArray, max_num: int) -> IndexArray:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import difflib
 import json
 import re
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -105,16 +105,25 @@ def read_config_file(path: str | Path) -> ConfigFile:
 
 
 def config_to_yaml(config: Config, preset_name: str = "") -> str:
-    """Write every value of a configuration as a parameter file, its meaning, unit and range in a comment above it.
+    """Write every value as a parameter file, meaning, unit and range in a comment above it; preset "": no such key."""
+    return _HEADER.format(preset=preset_name or "(none)") + _parameters(list(walk(config)), preset_name)
 
-    preset_name: the preset that the configuration started from; "" leaves the key out.
-    """
-    lines = [_HEADER.format(preset=preset_name or "(none)") + "/**:", "  ros__parameters:"]
+
+def changes_to_yaml(config: Config, preset_name: str, always: Sequence[str] = (), comment: str = "") -> str:
+    """Write only the values that are not the preset's, and those named in `always`; comment: text above them."""
+    base = {info.name: info.default for info in walk(preset(preset_name))}
+    told = [info for info in walk(config) if info.default != base[info.name] or info.name in always]
+    lines = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
+    return _HEADER.format(preset=preset_name) + lines + _parameters(told, preset_name)
+
+
+def _parameters(told: Sequence[FieldInfo], preset_name: str) -> str:
+    lines = ["/**:", "  ros__parameters:"]
     if preset_name:
         lines += ["    # base of whatever this file does not say, one of " + ", ".join(PRESETS)]
         lines += [f"    preset: {preset_name}"]
     open_group = ""
-    for info in walk(config):
+    for info in told:
         group, _, leaf = info.name.rpartition(".")
         if group != open_group:
             lines += ["", f"    {group}:"]

@@ -1,4 +1,5 @@
-"""What a person looks at of one decision, as the node shows it: aligned source, blocked points, sight lines, verdict.
+"""What a person looks at of one decision, as the node shows it: aligned source, blocked points, sight lines, denied
+surface, verdict.
 
 Here are the plain numbers, and their messages for a recorded file.
 """
@@ -16,7 +17,7 @@ from svc_ros.io.mcap_folder import McapFolder
 
 MARKERS_TYPE = "visualization_msgs/msg/MarkerArray"
 LINE_WIDTH_M, TEXT_HEIGHT_M = 0.02, 0.5
-_ADD, _DELETE_ALL, _LINE_LIST, _TEXT = 0, 3, 5, 9
+_ADD, _DELETE_ALL, _LINE_LIST, _POINTS, _TEXT = 0, 3, 5, 8, 9
 
 Colour = tuple[float, float, float, float]  # red, green, blue, opacity, each in [0, 1]
 
@@ -33,11 +34,23 @@ class LineGroup:
 
 
 @dataclass(frozen=True, eq=False)
+class PointGroup:
+    """Points (P, 3) [m] of one colour, each a square of that size; namespace and number name the marker."""
+
+    namespace: str
+    number: int
+    colour: Colour
+    points: Array
+    size_m: float
+
+
+@dataclass(frozen=True, eq=False)
 class Picture:
     """One decision in the frame `frame_id`, lengths in [m].
 
     aligned: (N, 3), the source where it was accepted, else None; blocked: (B, 3), points whose sight line is blocked;
-    from_source: (B,), 1 where they are the source's, else 0; label stands above label_at (3,).
+    from_source: (B,), 1 where they are the source's, else 0; denied: surface that the other sensor looked through;
+    label stands above label_at (3,).
     """
 
     frame_id: str
@@ -45,13 +58,14 @@ class Picture:
     blocked: Array
     from_source: Array
     lines: Sequence[LineGroup]
+    denied: Sequence[PointGroup]
     label: str
     label_at: Array
     label_colour: Colour
 
 
 def marker_array(bag: McapFolder, picture: Picture, stamp_ns: int) -> Any:
-    """MarkerArray: one marker deletes those of earlier decisions, one for each group of lines, one for the label."""
+    """MarkerArray: one marker deletes the earlier ones, one for each group of lines or points, one for the label."""
     header = bag.header(stamp_ns, picture.frame_id)
     markers = [_marker(bag, header, action=_DELETE_ALL)]
     for group in picture.lines:
@@ -61,6 +75,14 @@ def marker_array(bag: McapFolder, picture: Picture, stamp_ns: int) -> Any:
             _marker(
                 bag, header, ns=group.namespace, id=group.number, type=_LINE_LIST, points=_points(bag, both),
                 scale=_xyz(bag, "Vector3", LINE_WIDTH_M, 0.0, 0.0), color=_colour(bag, group.colour),
+            )
+        )  # fmt: skip
+    for points in picture.denied:
+        scale = _xyz(bag, "Vector3", points.size_m, points.size_m, 0.0)
+        markers.append(
+            _marker(
+                bag, header, ns=points.namespace, id=points.number, type=_POINTS, points=_points(bag, points.points),
+                scale=scale, color=_colour(bag, points.colour),
             )
         )  # fmt: skip
     x, y, z = picture.label_at.tolist()

@@ -16,12 +16,13 @@ from typing import Any, TypeVar
 import numpy as np
 
 from svc_ros.core.errors import InputError
-from svc_ros.core.evidence import SightLines, SightViewEvidence
+from svc_ros.core.evidence import SeenSurface, SightLines, SightViewEvidence, no_surface
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Array
 from svc_ros.io.stamps import text_from_ns
 
 _Code = TypeVar("_Code", bound=Enum)
+_LATER_RATIOS = ("constraint_ratio", "weakest_constraint", "tight_ratio")  # not in every file of decisions
 
 
 def result_to_json(result: RegistrationResult, **extra: Any) -> dict[str, Any]:
@@ -53,8 +54,9 @@ def result_to_json(result: RegistrationResult, **extra: Any) -> dict[str, Any]:
 def result_from_json(record: Mapping[str, Any]) -> RegistrationResult:
     """Rebuild a result from `result_to_json`; keys that are not the result's own are ignored.
 
-    JSON keeps how many sight lines are blocked, not which: the index arrays of the evidence have the right length and
-    hold -1. Raises InputError naming the key that is missing or wrong.
+    JSON keeps how many sight lines are blocked and points denied, not which: the index arrays of the evidence have the
+    right length and hold -1. Lines of older versions lack some numbers: what they did not measure counts as not seen.
+    Raises InputError naming the key that is missing or wrong.
     """
     return RegistrationResult(
         verdict=_code(record, "verdict", Verdict),
@@ -169,6 +171,9 @@ def _evidence(numbers: Mapping[str, Any]) -> SightViewEvidence | None:
             overlap_ratio=float(numbers["overlap_ratio"]),
             oriented_overlap_ratio=float(numbers["oriented_overlap_ratio"]),
             opposed_ratio=float(numbers["opposed_ratio"]),
+            **{name: float(numbers[name]) for name in _LATER_RATIOS if name in numbers},
+            source_surface=_surface(numbers, "source_in_target"),
+            target_surface=_surface(numbers, "target_in_source"),
         )
     except KeyError as error:
         raise InputError(f"result: evidence.{error.args[0]}: missing") from None
@@ -178,7 +183,18 @@ def _sight_lines(numbers: Mapping[str, Any], direction: str) -> SightLines:
     num_lines = int(numbers[f"num_lines_{direction}"])
     unknown = np.full(int(numbers[f"num_blocked_{direction}"]), -1)
     num_observed = round(float(numbers[f"observed_ratio_{direction}"]) * num_lines)
-    return SightLines(num_lines, num_observed, unknown, unknown)
+    num_free, num_filled = (int(numbers.get(f"{name}_{direction}", 0)) for name in ("num_free", "num_free_blocked"))
+    return SightLines(num_lines, num_observed, unknown, unknown, num_free, num_filled)
+
+
+def _surface(numbers: Mapping[str, Any], direction: str) -> SeenSurface:
+    if f"num_denied_{direction}" not in numbers:
+        return no_surface()
+    points, confirmed, hidden, unseen, denied = (
+        int(numbers[f"num_{name}_{direction}"]) for name in ("points", "confirmed", "hidden", "unseen", "denied")
+    )
+    wide = float(numbers[f"wide_denied_{direction}"])
+    return SeenSurface(points, confirmed, np.full(denied, -1), wide, hidden, unseen)
 
 
 def _parsed(line: str, place: str) -> dict[str, Any]:

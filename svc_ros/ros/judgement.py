@@ -104,17 +104,16 @@ def decisions_table(judged: list[JudgedPair]) -> Table:
     table.add_column("scans", no_wrap=True)
     for name in ("verdict", "reason"):
         table.add_column(name, no_wrap=True)
-    for name in ("deg off", "m off", "overlap", "blocked", "ms"):
+    for name in ("deg off", "m off", "overlap", "denied", "ms"):
         table.add_column(name, justify="right", no_wrap=True)
     for j in judged:
         evidence = j.result.evidence.numbers() if j.result.evidence is not None else {}
-        blocked = [evidence[name] for name in evidence if name.startswith("blocked_ratio")]
         colour = "bold white on red" if j.is_wrong else _COLOURS[j.result.verdict.value]
         table.add_row(
             f"{j.pair.source_index} to {j.pair.target_index}",
             f"[{colour}]{j.result.verdict.value}[/]", j.result.reason.value,
             _number(j.rotation_error_deg, 2), _number(j.translation_error_m, 2),
-            _number(evidence.get("oriented_overlap_ratio"), 2), _number(max(blocked, default=None), 3),
+            _number(evidence.get("oriented_overlap_ratio"), 2), _number(evidence.get("denied_ratio"), 3),
             _number(j.result.time_ms.get("total"), 0),
         )  # fmt: skip
     return table

@@ -1,4 +1,4 @@
-"""What a person looks at: the aligned source, blocked points, sight lines. Made only while somebody subscribes."""
+"""What a person looks at: aligned source, blocked points, sight lines, denied surface. Made for subscribers only."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from svc_ros.core.evidence import SightLines, SightViewEvidence
+from svc_ros.core.evidence import SeenSurface, SightLines, SightViewEvidence
 from svc_ros.core.result import RegistrationResult, Verdict
 from svc_ros.core.scan import Array, PreparedScan
 from svc_ros.core.se3 import apply
-from svc_ros.evaluation.sight_lines import MAX_LINES, choose_lines
+from svc_ros.evaluation.sight_lines import DENIED_SIZE, MAX_DENIED, MAX_LINES, choose_denied, choose_lines
 from svc_ros.ros.conversions import cloud_message, header
 from svc_ros.ros.decision import Decision, Look
 
@@ -72,15 +72,19 @@ def blocked_points(look: Look, evidence: SightViewEvidence) -> tuple[Array, Arra
 
 
 def sight_line_markers(look: Look, evidence: SightViewEvidence, stamp_ns: int) -> MarkerArray:
-    """Lines from both sensors to what they saw: green where the way is clear, red where a point stands in it.
+    """Lines from both sensors to what they saw, green where the way is clear, red where a point stands in it; and red
+    points, surface that the other sensor looked through.
 
-    The first marker deletes all earlier ones; of each colour and scan at most MAX_LINES are drawn, evenly chosen.
+    The first marker deletes all earlier ones; of each colour and scan at most MAX_LINES lines and MAX_DENIED points are
+    drawn, evenly chosen.
     """
     first = Marker(header=header(stamp_ns, look.frame_id), action=Marker.DELETEALL)
     T_frame_source = look.T_frame_target @ look.T_target_source
     markers = [
         *_markers(look.target, evidence.source_in_target, look.T_frame_target, "target"),
         *_markers(look.source, evidence.target_in_source, T_frame_source, "source"),
+        *_denied(look.target, evidence.target_surface, look.T_frame_target, "target"),
+        *_denied(look.source, evidence.source_surface, T_frame_source, "source"),
     ]
     for marker in markers:
         marker.header = first.header
@@ -115,6 +119,19 @@ def _markers(scan: PreparedScan, lines: SightLines, T_frame_scan: Array, side: s
         marker.pose.orientation.w = 1.0
         marker.points = [point for end in ends for point in (origin, end)]
         yield marker
+
+
+def _denied(scan: PreparedScan, surface: SeenSurface, T_frame_scan: Array, side: str) -> Iterator[Marker]:
+    """The points of one scan that the other sensor looked through, as one marker; none where there are none."""
+    chosen = choose_denied(surface, MAX_DENIED)
+    if len(chosen) == 0:
+        return
+    size = DENIED_SIZE * scan.voxel_size_m
+    marker = Marker(ns=f"{side}_denied", id=2, type=Marker.POINTS, action=Marker.ADD, color=_RED)
+    marker.scale = Vector3(x=size, y=size, z=0.0)
+    marker.pose.orientation.w = 1.0
+    marker.points = _points(apply(T_frame_scan, scan.points[chosen]))
+    yield marker
 
 
 def _points(points: Array) -> list[Point]:

@@ -2,7 +2,7 @@
 
 from svc_ros.simulation.drive import DriveConfig, DriveSummary, drive_scans, simulate_drive
 from svc_ros.simulation.scenes import SCENES, build_scene
-from svc_ros.simulation.sensors import SENSORS, lidar_model
+from svc_ros.simulation.sensors import SENSORS, lidar_model, sensor_model
 
 __all__ = [
     "SCENES",
@@ -12,5 +12,6 @@ __all__ = [
     "build_scene",
     "drive_scans",
     "lidar_model",
+    "sensor_model",
     "simulate_drive",
 ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from svc_ros.core.scan import Array
+from svc_ros.simulation.glazing import Glazing, pane_mesh
 from svc_ros.simulation.meshes import Mesh, box, cylinder, extrusion, foliage, from_quads, join, relief, upright
 
 FOUNDATION_M = 0.6  # bodies reach below the ground, so that a slope opens no gap under them
@@ -12,13 +13,39 @@ FOUNDATION_M = 0.6  # bodies reach below the ground, so that a slope opens no ga
 
 def house(rng: np.random.Generator, width_m: float) -> Mesh:
     """House with its front on y = 0, looking along +y: set-back windows and doors, balconies, a pitched roof."""
+    return glazed_house(rng, width_m, None)[0]
+
+
+def glazed_house(rng: np.random.Generator, width_m: float, glazing: Glazing | None) -> tuple[Mesh, Mesh]:
+    """The same house, in which the glazed windows are holes to its inside; and their panes."""
     floors, floor_m, depth_m = int(rng.integers(2, 6)), rng.uniform(2.7, 3.4), rng.uniform(8.0, 15.0)
     height = floors * floor_m + rng.uniform(0.3, 1.2)
     x, z, depth = _openings(rng, width_m, floors, floor_m)
-    front = relief(x, np.r_[z, height], depth)
+    is_open = np.zeros(depth.shape, np.bool_)
+    if glazing is not None:
+        is_open[1::2, 1::2] = glazing.chosen(len(x) // 2 - 1, floors)
+        is_open[1::2, :2] |= glazing.chosen()  # a shop, glass down to the ground
+    front = relief(x, np.r_[z, height], depth, is_open)
     parts = [front, _shell(width_m, depth_m, height), _roof(rng, width_m, depth_m, height)]
     parts += [box((rng.uniform(2.0, 3.5), 1.1, 1.1), (0.5 * (x[2 * c + 1] + x[2 * c + 2]), 0.55, floor * floor_m))
               for floor in range(1, floors) for c in range((len(x) - 2) // 2) if rng.random() < 0.12]  # fmt: skip
+    if glazing is not None:
+        parts.append(_inside(glazing.rng, (width_m, depth_m), (floors, floor_m)))
+    holes = [(x[i], x[i + 1], z[k], z[k + 1]) for i, k in np.argwhere(is_open)]
+    return join(parts), pane_mesh(holes, depth[is_open])
+
+
+def _inside(rng: np.random.Generator, size: tuple[float, float], storeys: tuple[int, float]) -> Mesh:
+    """Floors, and rooms of different depths with a cupboard each, behind a front of `size` (width, depth) [m]."""
+    (width, deep), (floors, floor_m), parts = size, storeys, []
+    for floor in range(floors):
+        z, back = floor * floor_m, rng.uniform(2.5, 6.0)
+        parts.append(box((width - 0.1, deep - 0.5, 0.2), (0.0, -0.5 * deep, z - 0.15)))
+        parts.append(box((width - 0.1, 0.1, floor_m), (0.0, -back, z)))
+        for place in np.arange(-0.5 * width + rng.uniform(2.0, 4.0), 0.5 * width - 1.0, rng.uniform(3.0, 5.0)):
+            parts.append(box((0.1, back - 0.5, floor_m), (place, -0.5 * (back + 0.5), z)))
+            cupboard = (*rng.uniform(0.4, 1.2, 2), rng.uniform(0.7, 2.0))
+            parts.append(box(cupboard, (place + 0.9, -rng.uniform(1.2, 2.0), z)))
     return join(parts)
 
 

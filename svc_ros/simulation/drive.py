@@ -17,7 +17,8 @@ from svc_ros.io.trajectories import Trajectory, write_tum
 from svc_ros.simulation.meshes import upright
 from svc_ros.simulation.ray_casting import CastScan, RayCaster
 from svc_ros.simulation.scenes import SCENES, build_scene
-from svc_ros.simulation.sensors import lidar_model
+from svc_ros.simulation.sensor_model import T_BODY_OPTICAL, SensorModel
+from svc_ros.simulation.sensors import sensor_model
 from svc_ros.simulation.world import Scene, SceneConfig
 
 MAP_FRAME, BASE_FRAME, LIDAR_FRAME = "map", "base_link", "lidar"
@@ -33,8 +34,9 @@ _ELSEWHERE = upright(800.0, 500.0, 0.0, 1.0)  # where the map holds the place be
 class DriveConfig:
     """What is driven: everything in the bag follows from these values.
 
-    scene, sensor: names (see `SCENES`, `SENSORS`); spacing_m: way between two scans [m], None for what suits the
-    scene; rate_hz: scans a second; seed: of the world and of the noise; start_ns: stamp of the first scan;
+    scene, sensor: names (see `SCENES`, `SENSORS`; a depth camera's points are told in its optical frame, z ahead);
+    spacing_m: way between two scans [m], None for what suits the scene; rate_hz: scans a second;
+    seed: of the world and of the noise; start_ns: stamp of the first scan;
     moving_share: share of cars or people that move or leave, in [0, 1]; teleport_after: index of the last scan before
     the carrier is put into a different world, so that this scan and the next have no true alignment; there_and_back:
     from half-way on the carrier backs up along the way that it came, so that places are seen twice.
@@ -54,7 +56,7 @@ class DriveConfig:
     def __post_init__(self) -> None:
         if self.scene not in SCENES:
             raise ConfigError(unknown_name("scene", self.scene, list(SCENES)))
-        lidar_model(self.sensor)
+        sensor_model(self.sensor)
         if self.num_scans < 1 or not self.rate_hz > 0.0 or self.step_m < 0.0 or self.seed < 0 or self.start_ns < 0:
             raise ConfigError("drive: expected num_scans >= 1, rate_hz > 0, spacing_m, seed and start_ns >= 0, "
                               f"found {self}")  # fmt: skip
@@ -137,7 +139,7 @@ def simulate_drive(
 
 def drive_scans(config: DriveConfig) -> Iterator[SimulatedScan]:
     """Simulate the scans of a drive one after the other, without writing anything."""
-    sensor, worlds = lidar_model(config.sensor), _worlds(config)
+    sensor, worlds = sensor_model(config.sensor), _worlds(config)
     caster, place = RayCaster(worlds[0]), 0
     for k in range(config.num_scans):
         if config.teleport_after is not None and k == config.teleport_after + 1:
@@ -145,7 +147,7 @@ def drive_scans(config: DriveConfig) -> Iterator[SimulatedScan]:
             caster = RayCaster(worlds[1])
         world = worlds[place]
         T_world_base, time_s = world.track.pose(config.way_m(k)), k / config.rate_hz
-        T_world_lidar = T_world_base @ _mount(world)
+        T_world_lidar = T_world_base @ _mount(world, sensor)
         rng = np.random.default_rng([config.seed, 1, k])
         cast = caster.cast(T_world_lidar, sensor, rng, time_s)
         T_map_world = _ELSEWHERE if place else np.eye(4)
@@ -159,6 +161,7 @@ def _worlds(config: DriveConfig) -> list[Scene]:
     return [build_scene(config.scene, np.random.default_rng([config.seed, part]), size) for part in seeds]
 
 
-def _mount(world: Scene) -> Array:
+def _mount(world: Scene, sensor: SensorModel) -> Array:
     """T_base_lidar (4, 4)."""
-    return upright(_MOUNT_AHEAD_M, 0.0, world.sensor_height_m, _MOUNT_YAW_RAD)
+    mount = upright(_MOUNT_AHEAD_M, 0.0, world.sensor_height_m, _MOUNT_YAW_RAD)
+    return mount @ T_BODY_OPTICAL if sensor.is_optical else mount

@@ -10,6 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from svc_ros.core.scan import Array
 from svc_ros.simulation import bodies
+from svc_ros.simulation.glazing import Glazing, panes
 from svc_ros.simulation.meshes import Mesh, box, cylinder, join, upright
 from svc_ros.simulation.world import Motion, Scene, SceneConfig, SceneObject, Track
 
@@ -24,11 +25,12 @@ def _flat(x: Array, y: Array) -> Array:
 
 def build_indoor(rng: np.random.Generator, config: SceneConfig) -> Scene:
     """A hall, a corridor with rooms on both sides and a second hall; the carrier goes from one hall into the other."""
+    glazing = Glazing.beside(rng, config.glass_share) if config.glass_share > 0.0 else None
     length, width, height = max(config.length_m - 8.0, 8.0), rng.uniform(2.7, 3.4), rng.uniform(2.7, 3.2)
-    objects = _hall(rng, upright(0.0, 0.0, 0.0, np.pi), width, height)
-    objects += _hall(rng, upright(length, 0.0), width, height)
+    objects = _hall(rng, upright(0.0, 0.0, 0.0, np.pi), (width, height), glazing)
+    objects += _hall(rng, upright(length, 0.0), (width, height), glazing)
     for side in (-1, 1):
-        objects += _room_row(rng, side, (length, width, height))
+        objects += _room_row(rng, side, (length, width, height), glazing)
     objects += _corridor_things(rng, length, width)
     floor = box((length + 30.0, 40.0, 0.2), (0.5 * length, 0.0, -0.2))
     ceiling = box((length + 30.0, 40.0, 0.2), (0.5 * length, 0.0, height))
@@ -48,18 +50,25 @@ def _walk(rng: np.random.Generator, length: float) -> Track:
     return Track.on_ground(CubicSpline(way, knots)(np.arange(0.0, way[-1], 0.1)), _flat)
 
 
-def _hall(rng: np.random.Generator, pose: Array, corridor_m: float, height: float) -> list[SceneObject]:
-    """Hall in the half space x > 0 of `pose`, open to the corridor at its origin."""
+def _hall(
+    rng: np.random.Generator, pose: Array, corridor: tuple[float, float], glazing: Glazing | None
+) -> list[SceneObject]:
+    """Hall in the half space x > 0 of `pose`, open to the corridor (width, height) [m] at its origin."""
+    corridor_m, height = corridor
     deep, left, right = rng.uniform(9.0, 13.0), rng.uniform(4.5, 7.5), rng.uniform(4.5, 7.5)
     wide, middle = left + right, 0.5 * (left - right)
     entry = (right - 0.5 * corridor_m, right + 0.5 * corridor_m, 0.0, height)
+    ahead, beside = _windows(rng, wide, height), _windows(rng, deep, height)
+    far, near = upright(deep, -right, 0.0, np.pi / 2), upright(0.0, left)
     walls = [
         bodies.wall(wide, height, [entry]).moved(upright(0.0, -right, 0.0, np.pi / 2)),
-        bodies.wall(wide, height, _windows(rng, wide, height)).moved(upright(deep, -right, 0.0, np.pi / 2)),
-        bodies.wall(deep, height, _windows(rng, deep, height)).moved(upright(0.0, left)),
+        bodies.wall(wide, height, ahead).moved(far),
+        bodies.wall(deep, height, beside).moved(near),
         bodies.wall(deep, height, []).moved(upright(0.0, -right)),
     ]
     objects = [SceneObject("wall", join(walls).moved(pose))]
+    if glazing is not None:
+        objects += glazing.panes_in(ahead, pose @ far) + glazing.panes_in(beside, pose @ near)
     for _ in range(int(rng.integers(1, 4))):
         x, y = rng.uniform(2.0, deep - 1.0), rng.choice([-1, 1]) * rng.uniform(3.2, 4.2)
         round_one = rng.random() < 0.5
@@ -92,7 +101,9 @@ def _furniture(rng: np.random.Generator, centre: Array, size: tuple[float, float
     return objects
 
 
-def _room_row(rng: np.random.Generator, side: int, sizes: tuple[float, float, float]) -> list[SceneObject]:
+def _room_row(
+    rng: np.random.Generator, side: int, sizes: tuple[float, float, float], glazing: Glazing | None
+) -> list[SceneObject]:
     """Rooms along one side of the corridor, each with a door to it."""
     length, corridor, height = sizes
     borders = [0.0]
@@ -107,13 +118,20 @@ def _room_row(rng: np.random.Generator, side: int, sizes: tuple[float, float, fl
         angle = side * rng.uniform(0.6, 1.7)
         leaf = box((0.9, 0.05, _DOOR_HEIGHT_M), (0.45, 0.0, 0.0))
         objects.append(SceneObject("door", leaf.moved(upright(door, side * 0.5 * corridor, 0.0, angle))))
-        partition = bodies.wall(deep, height, []).moved(upright(b, side * 0.5 * corridor, 0.0, side * np.pi / 2))
-        objects.append(SceneObject("wall", partition))
+        pose = upright(b, side * 0.5 * corridor, 0.0, side * np.pi / 2)
+        holes = [] if glazing is None else glazing.instead_of_wall([(0.0, deep)], height)
+        objects += [SceneObject("wall", bodies.wall(deep, height, holes).moved(pose)), *panes(holes, pose)]
         centre = upright(0.5 * (a + b), side * (0.5 * corridor + 0.5 * deep))
         objects += _furniture(rng, centre, (b - a, deep), 3)
-    inner = bodies.wall(length, height, doors).moved(upright(0.0, side * 0.5 * corridor))
-    outer = bodies.wall(length, height, _windows(rng, length, height))
-    outer = outer.moved(upright(0.0, side * (0.5 * corridor + deep)))
+    at_corridor, at_yard = upright(0.0, side * 0.5 * corridor), upright(0.0, side * (0.5 * corridor + deep))
+    windows = _windows(rng, length, height)
+    if glazing is not None:
+        ends = zip([0.0, *(door[1] for door in doors)], [*(door[0] for door in doors), length], strict=True)
+        holes = glazing.instead_of_wall(list(ends), height)
+        objects += panes(holes, at_corridor) + glazing.panes_in(windows, at_yard)
+        doors = sorted(doors + holes)
+    inner = bodies.wall(length, height, doors).moved(at_corridor)
+    outer = bodies.wall(length, height, windows).moved(at_yard)
     return [*objects, SceneObject("wall", join([inner, outer]))]
 
 

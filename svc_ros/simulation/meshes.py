@@ -88,15 +88,17 @@ def sheet(points: ArrayLike) -> Mesh:
     return from_quads(np.stack([grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]], 2).reshape(-1, 4, 3))
 
 
-def relief(x: ArrayLike, z: ArrayLike, depth: ArrayLike) -> Mesh:
+def relief(x: ArrayLike, z: ArrayLike, depth: ArrayLike, is_open: ArrayLike | None = None) -> Mesh:
     """Upright wall that looks along +y, with every cell set back by its own depth.
 
-    x: (A+1,) and z: (B+1,) borders of the cells [m], ascending; depth: (A, B) [m], positive is away from the viewer.
+    x: (A+1,) and z: (B+1,) borders of the cells [m], ascending; depth: (A, B) [m], positive is away from the viewer;
+    is_open: (A, B), cells that are holes.
     """
     x, z, depth = (np.asarray(a, np.float64) for a in (x, z, depth))
     x0, z0 = np.meshgrid(x[:-1], z[:-1], indexing="ij")
     x1, z1 = np.meshgrid(x[1:], z[1:], indexing="ij")
-    fronts = _quads(x0, x1, z0, z1, -depth, -depth)
+    closed = np.ones(depth.shape, np.bool_) if is_open is None else ~np.asarray(is_open)
+    fronts = _quads(*(a[closed] for a in (x0, x1, z0, z1, -depth, -depth)))
     reveals = _quads(x1[:-1], x1[:-1], z0[:-1], z1[:-1], -depth[:-1], -depth[1:])
     lintels = _lintels(x0[:, :-1], x1[:, :-1], z1[:, :-1], -depth[:, :-1], -depth[:, 1:])
     return from_quads(np.concatenate([fronts, reveals, lintels]))

@@ -9,8 +9,9 @@ import numpy as np
 
 from svc_ros.core.scan import Array
 from svc_ros.simulation import bodies
+from svc_ros.simulation.glazing import Glazing
 from svc_ros.simulation.meshes import Mesh, box, join, sheet, upright
-from svc_ros.simulation.world import HeightField, Motion, Scene, SceneConfig, SceneObject, Track
+from svc_ros.simulation.world import GLASS, HeightField, Motion, Scene, SceneConfig, SceneObject, Track
 
 _MARGIN_M = 70.0  # the street goes on before and after the carrier's way
 _KERB_M = 0.13
@@ -48,9 +49,10 @@ class _Road:
 def build_street(rng: np.random.Generator, config: SceneConfig) -> Scene:
     """Street with bends and a gentle slope; the carrier drives on the right."""
     road = _lay_road(rng, config.length_m)
+    glazing = Glazing.beside(rng, config.glass_share) if config.glass_share > 0.0 else None
     objects = [SceneObject("ground", _ground_mesh(road))]
     for side in (-1, 1):
-        objects += _houses(rng, road, side)
+        objects += _houses(rng, road, side, glazing)
         objects += _street_furniture(rng, road, side)
     objects += _parked_cars(rng, road, config.moving_share)
     objects += _traffic(rng, road, config)
@@ -103,7 +105,7 @@ def _along(rng: np.random.Generator, road: _Road, gap_m: tuple[float, float]) ->
         place += rng.uniform(*gap_m)
 
 
-def _houses(rng: np.random.Generator, road: _Road, side: int) -> list[SceneObject]:
+def _houses(rng: np.random.Generator, road: _Road, side: int, glazing: Glazing | None) -> list[SceneObject]:
     facing = np.pi if side > 0 else 0.0
     objects, place = [], -_MARGIN_M
     pavement = road.half_width_m + rng.uniform(2.2, 3.2)
@@ -111,7 +113,10 @@ def _houses(rng: np.random.Generator, road: _Road, side: int) -> list[SceneObjec
         width, setback = rng.uniform(6.0, 16.0), rng.choice([0.0, 0.0, 0.6, 1.5, 3.0, 4.5])
         middle = place + 0.5 * width
         pose = road.place(middle, side * (pavement + setback), facing + rng.normal(scale=0.02))
-        objects.append(SceneObject("house", bodies.house(rng, width).moved(pose)))
+        mesh, panes = bodies.glazed_house(rng, width, glazing)
+        objects.append(SceneObject("house", mesh.moved(pose)))
+        if len(panes.triangles):
+            objects.append(SceneObject(GLASS, panes.moved(pose)))
         if setback > 1.0:
             objects.append(_garden(rng, road.place(middle, side * pavement, facing), width))
         place += width + rng.choice([0.0, 0.0, 0.8, 2.5])

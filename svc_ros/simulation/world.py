@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -14,6 +15,7 @@ from svc_ros.core.scan import Array
 from svc_ros.simulation.meshes import Mesh
 
 HeightField = Callable[[Array, Array], Array]
+GLASS = "glass"  # kind of the objects that let light through
 _SLOPE_STEP_M = 1.0
 
 
@@ -124,12 +126,21 @@ class Scene:
 @dataclass(frozen=True)
 class SceneConfig:
     """length_m: way of the carrier that the scene must offer [m]; moving_share: share of cars or people that move or
-    leave, in [0, 1]; speed_mps: of the carrier [m/s], so that nothing runs into it."""
+    leave, in [0, 1]; speed_mps: of the carrier [m/s], so that nothing runs into it; glass_share: share of the windows,
+    shop fronts and partitions that are panes to look through (objects of kind `glass`), in [0, 1]."""
 
     length_m: float = 60.0
     moving_share: float = 0.15
     speed_mps: float = 5.0
+    glass_share: float = 0.0
 
     def __post_init__(self) -> None:
         if not self.length_m > 0.0 or not 0.0 <= self.moving_share <= 1.0 or not self.speed_mps >= 0.0:
             raise ConfigError(f"scene: expected length_m > 0, moving_share in [0, 1], speed_mps >= 0, found {self}")
+        if not 0.0 <= self.glass_share <= 1.0:
+            raise ConfigError(f"scene: expected glass_share in [0, 1], found {self.glass_share}")
+
+
+def side_generator(rng: np.random.Generator) -> np.random.Generator:
+    """A generator of its own for what is not always drawn, so that `rng` goes on as if nothing had been."""
+    return np.random.default_rng(copy.deepcopy(rng).integers(2**63))

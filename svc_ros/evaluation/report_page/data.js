@@ -12,12 +12,12 @@ function unpack(text, step) {
 }
 
 function unpackSide(side, step) {
-  const out = { origin: side.origin, numPoints: side.num_points, numLines: side.num_lines, numBlocked: side.num_blocked };
-  for (const part of ["points", "clear", "blocked", "blockers"]) out[part] = unpack(side[part], step);
+  const out = { origin: side.origin, numPoints: side.num_points, numLines: side.num_lines, numBlocked: side.num_blocked, numDenied: side.num_denied, numSeen: side.num_seen };
+  for (const part of ["points", "clear", "blocked", "denied"]) out[part] = unpack(side[part], step);
   return out;
 }
 
-// One scene: index, verdict, placed, and for target and source: origin, points, clear, blocked, blockers (x y z, ...).
+// One scene: index, verdict, placed, and for target and source: origin, points, clear, blocked, denied (x y z, ...).
 function sceneOf(index) {
   const scene = packed.get(index);
   if (!scene) return null;

@@ -1,19 +1,19 @@
 // The flat plots: verdicts over time, evidence, times by stage, the way from above.
-const FLOOR = 0.0003; // smallest blocked share that the logarithmic axis shows
+const FLOOR = 0.0003; // smallest denied share that the logarithmic axis shows
 const TICKS = [FLOOR, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1];
-const height = (blocked) => Math.log10(Math.max(blocked, FLOOR)); // the axis itself is linear: shapes are true only there
+const height = (denied) => Math.log10(Math.max(denied, FLOOR)); // the axis itself is linear: shapes are true only there
 
 function decisionRows() {
   const d = data.decisions;
   return d.line.map((line, k) => ({
     line, time: d.time_s[k], verdict: d.verdict[k], reason: d.reason[k], probability: d.probability[k],
-    overlap: d.overlap[k], blocked: d.blocked[k], kept: packed.has(line),
+    overlap: d.overlap[k], denied: d.denied[k], kept: packed.has(line),
   }));
 }
 
 function hoverText(row) {
   const time = row.time === null ? "" : ` at ${row.time.toFixed(1)} s`;
-  const numbers = row.overlap === null ? "" : `<br>overlap ${share(row.overlap)}, blocked ${share(row.blocked, 4)}`;
+  const numbers = row.overlap === null ? "" : `<br>overlap ${share(row.overlap)}${row.denied === null ? "" : `, denied ${share(row.denied, 4)}`}`;
   const sure = row.probability === null ? "" : `<br>probability ${share(row.probability)}`;
   return `<b>decision ${row.line}</b>${time}<br>${row.verdict}: ${row.reason}${sure}${numbers}${row.kept ? "<br>click: look at it in 3D" : ""}`;
 }
@@ -111,12 +111,13 @@ function drawTimeline() {
 }
 
 function drawEvidence() {
-  const rows = decisionRows().filter((row) => row.overlap !== null);
-  const y = (row) => height(row.blocked);
+  const judged = decisionRows().filter((row) => row.overlap !== null);
+  const rows = judged.filter((row) => row.denied !== null);
+  const y = (row) => height(row.denied);
   const border = data.border;
   places.evidence = placesOf(rows, (row) => row.overlap, y);
   const traces = [];
-  const bottom = height(FLOOR) - 0.1, top = Math.max(height(0.5), ...rows.map(y)) + 0.1;
+  const bottom = height(FLOOR) - 0.1, top = height(1) + 0.1;
   const outer = border ? border.outer.map(height) : [], inner = border ? border.inner.map(height) : [];
   if (border) {
     const area = (line, upper, colour) => traces.push({
@@ -136,18 +137,19 @@ function drawEvidence() {
   const label = (x, y, text, more = {}) => ({ x, y, text, showarrow: false, font: { size: 12, color: css("soft") }, xanchor: "right", ...more });
   draw("evidence", traces.concat(verdictTraces(rows, (row) => row.overlap, y)), layout({
     xaxis: axis("oriented overlap", { range: [0, 1.02] }), shapes: [ring("evidence")],
-    yaxis: axis("blocked share of the sight lines", { range: [bottom, top], tickvals: TICKS.map(height), ticktext: TICKS.map((value) => (value === FLOOR ? `≤ ${value}` : String(value))) }),
+    yaxis: axis("denied share of the surface in view", { range: [bottom, top], tickvals: TICKS.map(height), ticktext: TICKS.map((value) => (value === FLOOR ? `≤ ${value}` : String(value))) }),
     annotations: border && !narrow ? [
-      label(0.99, top - 0.12, "never accepted"), label(0.99, (outer.at(-1) + inner.at(-1)) / 2, "other evidence decides"), label(0.99, inner.at(-1) - 0.35, "never rejected for it"),
+      label(0.99, top - 0.12, "never accepted"), label(0.99, (outer.at(-1) + inner.at(-1)) / 2, "structure and clusters decide"), label(0.99, inner.at(-1) - 0.35, "never rejected for it"),
       label(border.min_overlap / 2, (bottom + top) / 2, "too little overlap", { textangle: -90, xanchor: "center" }),
     ] : [],
     margin: { l: 64, r: 12, t: 8, b: 44 },
   }));
-  byId("evidence-hint").textContent = "Surface in the way of sight lines speaks against a pose, surface seen alike by both scans for it.";
-  byId("evidence-note").textContent = `${whole(rows.length)} judged decisions drawn. ` + (border
-    ? "Above the solid line nothing makes a pose good; below the dashed line blocked lines never reject it; in between contact, scatter and the like decide."
+  byId("evidence-hint").textContent = "Surface that the other sensor looked through speaks against a pose, surface seen alike by both scans for it.";
+  byId("evidence-note").textContent = `${whole(rows.length)} judged decisions drawn` +
+    `${rows.length < judged.length ? `, ${whole(judged.length - rows.length)} not, which tell no denied share` : ""}. ` + (border
+    ? "Above the solid line no pose is accepted, even if surfaces face all ways and only small clusters are denied; below the dashed line denied surface never rejects one; in between it depends on structure and on how wide the denied clusters are."
     : "No border is drawn: the method of this run decides by another rule.");
-  describe("evidence", `Blocked share against oriented overlap of ${rows.length} judged decisions.`);
+  describe("evidence", `Denied share against oriented overlap of ${rows.length} judged decisions.`);
 }
 
 function drawMap() {

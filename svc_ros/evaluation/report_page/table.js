@@ -12,6 +12,13 @@ function fillFacts() {
   const rows = [["Probability of a right pose", share(record.probability)]];
   const told = (name, key, digits = 4) => { if (key in evidence) rows.push([name, share(evidence[key], digits)]); };
   told("Oriented overlap", "oriented_overlap_ratio", 3);
+  if (evidence.num_points_source_in_target || evidence.num_points_target_in_source) {
+    told("Denied surface, both scans", "denied_ratio");
+    told("Denied, of the source", "denied_ratio_source_in_target");
+    told("Denied, of the target", "denied_ratio_target_in_source");
+    told("Denied, by width of clusters", "wide_denied_ratio");
+    told("Resistance to a shift", "weakest_constraint", 3);
+  }
   told("Blocked, target's lines", "blocked_ratio_source_in_target");
   told("Blocked, source's lines", "blocked_ratio_target_in_source");
   told("Seen from both sides", "opposed_ratio");
@@ -46,7 +53,7 @@ function fillWorst() {
   }
   const withError = data.worst.some(({ line }) => typeof data.told[line].translation_error_m === "number");
   byId("worst-hint").textContent = `${data.worst.length} of ${whole(totalDecisions())} decisions, the most telling ones of each kind.`;
-  const heads = ["Decision", "Verdict", "Reason in words", "Probability", "Overlap", "Blocked", ...(withError ? ["Error"] : []), "3D"];
+  const heads = ["Decision", "Verdict", "Reason in words", "Probability", "Overlap", "Denied", ...(withError ? ["Error"] : []), "3D"];
   const table = make("table", "worst");
   const head = make("tr");
   heads.forEach((text, k) => head.append(make("th", k > 2 && text !== "3D" ? "num" : "", text, { scope: "col" })));
@@ -74,10 +81,10 @@ function worstRow({ line }, withError) {
   const words = cell("", "");
   words.append(make("div", "words", `${record.words}.`), make("div", "detail", record.detail || ""));
   const evidence = record.evidence || {};
-  const ways = ["source_in_target", "target_in_source"].map((way) => evidence[`blocked_ratio_${way}`]).filter((v) => v !== undefined);
+  const seen = evidence.num_points_source_in_target || evidence.num_points_target_in_source;
   cell("num", share(record.probability), "probability");
   cell("num", share(evidence.oriented_overlap_ratio), "overlap");
-  cell("num", ways.length ? share(Math.max(...ways), 4) : "–", "blocked");
+  cell("num", seen ? share(evidence.denied_ratio, 4) : "–", "denied");
   if (withError) cell("num", typeof record.translation_error_m === "number" ? `${record.translation_error_m.toFixed(2)} m` : "–", "error");
   const show = cell("", "");
   if (packed.has(line)) {

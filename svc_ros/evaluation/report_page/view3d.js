@@ -2,6 +2,7 @@
 const LAYERS = [
   { key: "target", name: "Target", swatch: "target", line: false },
   { key: "source", name: "Source", swatch: "source", line: false },
+  { key: "denied", name: "Denied surface", swatch: "blocked", line: false },
   { key: "blocked", name: "Blocked sight lines", swatch: "blocked", line: true },
   { key: "clear", name: "Clear sight lines", swatch: "clear", line: true },
 ];
@@ -89,8 +90,8 @@ function sceneLayout(size, scene) {
 function traces3d(scene, size) {
   const sides = [scene.target, scene.source];
   const rings = ringsAround(scene, size);
-  const blockers = { x: [], y: [], z: [] };
-  for (const side of sides) ["x", "y", "z"].forEach((name, k) => blockers[name].push(...every3(side.blockers, k)));
+  const denied = { x: [], y: [], z: [] };
+  for (const side of sides) ["x", "y", "z"].forEach((name, k) => denied[name].push(...every3(side.denied, k)));
   const origin = (side, name, colour) => ({
     type: "scatter3d", mode: "markers", name, hoverinfo: "skip", x: [side.origin[0]], y: [side.origin[1]], z: [side.origin[2]],
     marker: { size: 6, symbol: "diamond", color: colour, line: { width: 1, color: css("sky") } },
@@ -100,8 +101,8 @@ function traces3d(scene, size) {
     cloudTrace(scene.target, "target", "target"),
     cloudTrace(scene.source, "source", "source"),
     lineTrace(sides, "clear", "clear", { line: { color: css("clear"), width: 1 }, opacity: 0.4 }),
-    lineTrace(sides, "blocked", "blocked", { line: { color: css("blocked"), width: 1.5 }, opacity: 0.45 }),
-    { type: "scatter3d", mode: "markers", name: "blockers", hoverinfo: "skip", visible: !hidden.has("blocked"), ...blockers, marker: { size: 1.9 / narrowness(), color: css("blocked") } },
+    lineTrace(sides, "blocked", "blocked", { line: { color: css("blocked"), width: 1 }, opacity: 0.25 }),
+    { type: "scatter3d", mode: "markers", name: "denied", hoverinfo: "skip", visible: !hidden.has("denied"), ...denied, marker: { size: 1.9 / narrowness(), color: css("blocked") } },
     origin(scene.target, "target sensor", css("origin")),
     origin(scene.source, "source sensor", css("source")),
   ] };
@@ -114,14 +115,16 @@ function drawScene() {
   Plotly.react(byId("view3d"), traces, layout({ scene: sceneLayout(size, shown), margin: { l: 0, r: 0, t: 0, b: 0 } }),
     { displaylogo: false, responsive: true, displayModeBar: false, scrollZoom: true });
   const { target, source } = shown;
-  const lines = target.numLines + source.numLines, blocked = target.numBlocked + source.numBlocked;
+  const both = (name) => target[name] + source[name];
+  const lines = both("numLines"), blocked = both("numBlocked"), denied = both("numDenied"), seen = both("numSeen");
   const drawn = (part, total) => `${whole((target[part].length + source[part].length) / 3)} of ${whole(total)}`;
   byId("view3d-note").textContent =
+    `${seen ? `${((100 * denied) / seen).toFixed(1)} % of the surface that the other sensor could see is denied. ` : ""}` +
     `${lines ? `${((100 * blocked) / lines).toFixed(1)} % of all sight lines are blocked. ` : ""}` +
-    `Drawn: ${drawn("points", target.numPoints + source.numPoints)} points, ${drawn("blocked", blocked)} blocked ` +
+    `Drawn: ${drawn("points", both("numPoints"))} points, ${drawn("denied", denied)} denied ones, ${drawn("blocked", blocked)} blocked ` +
     `and ${drawn("clear", lines - blocked)} clear sight lines of both sensors (diamonds). Rings ${spacing} m apart around the target's sensor.` +
     `${shown.placed ? "" : " No pose was found: the source stands in its own frame."}`;
-  describe("view3d", `Decision ${shown.index}, ${shown.verdict}: ${blocked} of ${lines} sight lines blocked.`);
+  describe("view3d", `Decision ${shown.index}, ${shown.verdict}: ${denied} of ${seen} points denied, ${blocked} of ${lines} sight lines blocked.`);
 }
 
 function turnCamera(aroundDeg, upDeg, nearer) {
@@ -144,8 +147,7 @@ function setUpView() {
     box.checked = true;
     box.addEventListener("change", () => {
       if (box.checked) hidden.delete(layer.key); else hidden.add(layer.key);
-      const names = layer.key === "blocked" ? ["blocked", "blockers"] : [layer.key];
-      const places = byId("view3d").data.flatMap((trace, k) => (names.includes(trace.name) ? [k] : []));
+      const places = byId("view3d").data.flatMap((trace, k) => (trace.name === layer.key ? [k] : []));
       Plotly.restyle(byId("view3d"), { visible: box.checked }, places);
     });
     const swatch = make("span", layer.line ? "swatch line" : "swatch", "", { "aria-hidden": "true" });

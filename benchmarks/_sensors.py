@@ -1,0 +1,35 @@
+"""Which sensor a set was taken with: what is left out of a fit together, so that no tested sensor was ever seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from _evidence import Row
+
+from svc_ros.core.scan import Array
+
+SENSORS = {  # by the name of the set; a set that is not named here is a sensor of its own
+    "hdl64_kitti_a": "HDL-64E", "hdl64_kitti_05_loop": "HDL-64E", "hdl64_city": "HDL-64E",
+    "os1_64_seosan": "OS1-64", "os1_64_highway": "OS1-64", "os1_64_yard": "OS1-64", "os0_64_walk": "OS0-64",
+    "vlp16_hand_held": "VLP-16", "solid_state_yard": "solid state", "livox_dense": "Livox",
+    "tripod_scanner_flat": "tripod scanner", "rgbd_redkitchen": "depth camera, fused",
+    "rgbd_single_frames": "depth camera, single frames",
+}  # fmt: skip
+
+
+def sensor_of(dataset: str) -> str:
+    """The sensor of a set, or the group of simulated poses that it is."""
+    return SENSORS.get(dataset, dataset)
+
+
+def sensors_of(rows: Sequence[Row]) -> list[str]:
+    """Every sensor once, in the order of its sets."""
+    return list(dict.fromkeys(sensor_of(row.dataset) for row in rows))
+
+
+def weigh_groups(rows: Sequence[Row]) -> Array:
+    """Weights (N,) with which right and wrong poses of every sensor weigh the same, however many there are."""
+    names = [f"{sensor_of(row.dataset)}: {row.correct}" for row in rows]
+    _, group, sizes = np.unique(names, return_inverse=True, return_counts=True)
+    return np.asarray(1.0 / sizes[group])
