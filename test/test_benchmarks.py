@@ -99,7 +99,7 @@ def test_twins_answer_the_same_question_and_a_wrong_one_is_noticed(monkeypatch, 
         _checks.check_jobs(pair, room.wrong_pose)
 
 
-@pytest.mark.parametrize("field", ["num_observed", "num_scattered", "blocked_idx", "blocker_idx"])
+@pytest.mark.parametrize("field", ["num_lines", "num_observed", "blocked_idx", "blocker_idx"])
 def test_every_part_of_the_sight_lines_is_compared(room, field):
     import _checks
 
