@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -56,4 +57,4 @@ def real_pair(shared_data: Path, name: str, index: int = 0) -> tuple[Scan, Scan,
 def thin(scan: PreparedScan, num: int) -> PreparedScan:
     """About `num` of the points, evenly taken."""
     step = max(1, len(scan) // num)
-    return PreparedScan(scan.points[::step], scan.normals[::step], scan.sensor_origin, scan.voxel_size_m)
+    return dataclasses.replace(scan, points=scan.points[::step], normals=scan.normals[::step], memo={})

@@ -264,7 +264,7 @@ def test_an_open_end_tells_slips_and_turns(sensor, closed):
     verdicts = [both_verdicts(scans, pose, "lidar_indoor") for pose in wrong]
     assert [told for told, _ in verdicts] == [Verdict.REJECTED] * 2
     if not closed:
-        assert verdicts[0][1] is Verdict.ACCEPTED  # its evidence alone, before slips cast doubt on it
+        assert verdicts[0][1] is not Verdict.REJECTED  # the rest of its evidence says nothing against it
 
 
 @pytest.mark.parametrize("sensor", ["OS1-64", "VLP-16"])

@@ -9,6 +9,7 @@ from mini_data import POSES, scan_room
 from svc_ros.core.config import preset
 from svc_ros.core.registration import prepare, verify
 from svc_ros.core.scan import Scan
+from svc_ros.pipeline import scan_matching
 from svc_ros.pipeline.keyframes import Keyframe, KeyframeStore
 
 CONFIG = preset("lidar_indoor")
@@ -34,6 +35,18 @@ def test_searches_can_be_forgotten_and_come_back_the_same(keyframe: Keyframe) ->
     second = verify(other, keyframe.scan, np.eye(4), CONFIG)
     np.testing.assert_array_equal(first.best_candidate, second.best_candidate)
     assert first.verdict is second.verdict
+    assert second.evidence.source_surface.num_confirmed > 100
+
+
+def test_what_the_sensor_saw_is_kept_by_all_that_is_made_of_a_scan(keyframe: Keyframe) -> None:
+    """A copy without its range image would deny nothing, whatever the pose."""
+    image = keyframe.scan.range_image
+    assert image is not None
+    keyframe.forget_searches()
+    assert keyframe.scan.range_image is image
+    assert keyframe.features.prepared.range_image is image
+    for num in (len(keyframe.scan) // 3, 10 * len(keyframe.scan)):
+        assert scan_matching._thinned(keyframe.scan, num).range_image is image
 
 
 def test_the_newest_are_kept(keyframe: Keyframe) -> None:

@@ -13,6 +13,7 @@ from mini_data import POSES, scan_room
 from svc_ros.core import preprocess as stage
 from svc_ros.core.config import PreprocessConfig
 from svc_ros.core.errors import ConfigError, TooFewPointsError
+from svc_ros.core.range_image import build_range_image
 from svc_ros.core.scan import Scan
 
 CONFIG = PreprocessConfig(voxel_size_m=0.2, min_range_m=0.3, max_range_m=30.0)
@@ -31,6 +32,25 @@ def test_order_of_points_does_not_matter_to_a_single_bit():
         shuffled = stage.preprocess(Scan(RNG.permutation(ROOM)), CONFIG)
         assert_same_bits(shuffled.points, reference.points)
         assert_same_bits(shuffled.normals, reference.normals)
+        assert_same_bits(shuffled.range_image.near, reference.range_image.near)
+        assert_same_bits(shuffled.range_image.far, reference.range_image.far)
+
+
+def test_the_range_image_is_of_all_raw_points_but_the_carriers():
+    """Also of those beyond the largest range, through which the sensor looked, and before the voxel grid."""
+    origin = np.array([1.0, -2.0, 0.5])
+    scan = Scan(ROOM + origin, sensor_origin=origin)
+    near = stage.preprocess(scan, dataclasses.replace(CONFIG, max_range_m=3.0))
+    whole = stage.preprocess(scan, CONFIG)
+    assert len(near) < len(whole)
+    for prepared in (near, whole):
+        image = build_range_image(scan.points, origin, CONFIG.min_range_m, prepared.beam_spacing_deg)
+        assert_same_bits(prepared.range_image.near, image.near)
+        assert_same_bits(prepared.range_image.far, image.far)
+        assert prepared.range_image.far.max() == pytest.approx(np.linalg.norm(ROOM, axis=1).max())
+    blind = stage.preprocess(scan, dataclasses.replace(CONFIG, min_range_m=2.5))
+    held = blind.range_image.near > 0
+    assert blind.range_image.near[held].min() > 2.5 > whole.range_image.near[whole.range_image.near > 0].min()
 
 
 def test_input_is_left_alone():

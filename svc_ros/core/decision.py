@@ -10,7 +10,7 @@ from svc_ros.core.decision_config import DecisionConfig
 from svc_ros.core.evidence import SightViewEvidence
 from svc_ros.core.result import Reason, Verdict
 
-_STRAY = 10  # denied points that no scan is free of: with little confirmed surface they are a large share
+_STRAY = 3  # denied points that no scan is free of: with little confirmed surface they are a large share
 _LEAST_DENIED = 2e-3  # less than that tells nothing any more
 _LEAST_STRUCTURE = 0.03  # added to the resistance, in whose logarithm next to none is not far from none
 _SLOPE = 2.0  # of log odds over the margins that are not fitted

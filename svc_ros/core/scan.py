@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from svc_ros.core.errors import InputError
-from svc_ros.core.range_image import RangeImage
+
+if TYPE_CHECKING:  # it brings numba, which the help of the command line does without
+    from svc_ros.core.range_image import RangeImage
 
 Array = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
