@@ -88,8 +88,8 @@ def draw_denied_surface(out: Path) -> None:
         share = num["denied"] / max(num["denied"] + num["confirmed"], 1)
         axes.set_title(f"{name}: {verdict}", loc="left", fontsize=13, fontweight="bold")
         axes.set_xlabel(
-            f"of {len(classes):,} points: {num['confirmed']:,} confirmed, {num['denied']:,} denied ({share:.1%} of both), "
-            f"{num['hidden']:,} hidden, {num['unseen']:,} not looked at", loc="left", fontsize=11,
+            f"of {len(classes):,} points: {num['confirmed']:,} confirmed, {num['denied']:,} denied ({share:.1%} of "
+            f"both), {num['hidden']:,} hidden, {num['unseen']:,} not looked at", loc="left", fontsize=11,
         )  # fmt: skip
     _explain(figure)
     figure.tight_layout(rect=(0.0, 0.06, 1.0, 1.0), h_pad=1.6)
