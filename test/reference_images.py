@@ -7,8 +7,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-# The tables' steps: what a direction's sine and azimuth may be off by before a cell is looked up with them.
-SINE_STEP, TURN_STEP = 2.0 / 8192, 0.03 / 360.0
+# The tables' steps: what a direction's elevation and azimuth may be off by before a cell is looked up with them.
+STEP_DEG, TURN_STEP = 0.03, 0.03 / 360.0
 UNSEEN, CONFIRMED, DENIED, HIDDEN, NEITHER = range(5)
 
 
@@ -20,18 +20,17 @@ def layout(size_deg: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
     return columns, np.concatenate(([0], np.cumsum(columns)[:-1]))
 
 
-def row_of(sine: np.ndarray, height_deg: float, num_rows: int) -> np.ndarray:
-    """Row of each sine of an elevation."""
-    elevation = np.degrees(np.arcsin(np.clip(sine, -1.0, 1.0)))
-    return np.minimum((elevation + 90.0) // height_deg, num_rows - 1).astype(int)
+def row_of(elevation_deg: np.ndarray, height_deg: float, num_rows: int) -> np.ndarray:
+    """Row of each elevation."""
+    return np.clip((elevation_deg + 90.0) // height_deg, 0, num_rows - 1).astype(int)
 
 
 def cell_is_right(directions: np.ndarray, cell: np.ndarray, size_deg: tuple[float, float]) -> np.ndarray:
     """Whether each direction (N, 3) lies in its cell (N,), or as near to its border as the tables' steps."""
     columns, starts = layout(size_deg)
     row = np.searchsorted(starts, cell, side="right") - 1
-    sine = directions[:, 2] / np.linalg.norm(directions, axis=1)
-    lowest, highest = (row_of(sine + way * SINE_STEP, size_deg[0], len(columns)) for way in (-1, 1))
+    elevation = np.degrees(np.arctan2(directions[:, 2], np.hypot(directions[:, 0], directions[:, 1])))
+    lowest, highest = (row_of(elevation + way * STEP_DEG, size_deg[0], len(columns)) for way in (-1, 1))
     turn = np.arctan2(directions[:, 1], directions[:, 0]) / (2.0 * np.pi)
     beyond_middle = (turn * columns[row] - (cell - starts[row]) - 0.5) / columns[row]
     off_middle = np.abs(beyond_middle - np.round(beyond_middle))  # in turns, whichever way is shorter

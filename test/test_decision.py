@@ -135,9 +135,11 @@ def test_the_margin_of_denied_surface_is_the_weighed_sum(denied, other, wide, we
     case = evidence(denied, other=other, wide=wide, weakest=weakest)
     num = 1000 * (denied + other)
     confirmed = 2000 - num
-    plain, by_clusters = (math.log((d + 10) / (d + confirmed + 10) + 0.002) for d in (num, wide * num))
-    expected = -1.5 - 0.7 * plain - 1.1 * by_clusters + 3.0 * math.log(weakest + 0.03)
-    assert decision.describe(case) == pytest.approx((plain, by_clusters, math.log(weakest + 0.03)))
+    stray, least = decision._STRAY, decision._LEAST_DENIED
+    plain, by_clusters = (math.log((d + stray) / (d + confirmed + stray) + least) for d in (num, wide * num))
+    structure = math.log(weakest + decision._LEAST_STRUCTURE)
+    expected = -1.5 - 0.7 * plain - 1.1 * by_clusters + 3.0 * structure
+    assert decision.describe(case) == pytest.approx((plain, by_clusters, structure))
     config = dataclasses.replace(CONFIG, **weights)
     assert decision.measure_margins(case, config).seen == pytest.approx(expected)
 
@@ -167,13 +169,13 @@ def test_denied_surface_that_is_scattered_or_small_weighs_less_than_a_wide_wall(
 
 
 def test_a_handful_of_denied_points_says_little_where_little_is_confirmed():
-    """Ten stray points are a tenth of a hundred: no scan is free of them."""
+    """Ten points are a tenth of a hundred, a few of which no scan is free of."""
     few = SeenSurface(1000, 45, np.arange(5), 5.0, 0, 0)
     case = dataclasses.replace(evidence(), source_surface=few, target_surface=few)
     none = dataclasses.replace(few, num_confirmed=50, denied_idx=NONE, wide_denied=0.0)
     without = dataclasses.replace(case, source_surface=none, target_surface=none)
     margins = [decision.measure_margins(e, CONFIG).seen for e in (case, without)]
-    assert 0 < margins[1] - margins[0] < 2.0 * math.log(2.1)
+    assert 0 < margins[1] - margins[0] < 2.0 * math.log(1.0 + 10 / decision._STRAY)
 
 
 def test_margins_are_zero_on_the_borders_and_positive_on_the_good_side():
@@ -338,13 +340,36 @@ def test_a_different_pose_that_is_as_good_takes_the_acceptance_back(kind):
 
 @pytest.mark.parametrize("kind", ["others", "far_slips"])
 def test_a_rival_is_as_good_if_its_odds_are_less_by_no_more_than_asked(kind):
-    rival = evidence(denied=0.12, overlap=0.6)
-    right, other = (decision.measure_margins(e, CONFIG).smallest for e in (RIGHT, rival))
+    """Of another pose by all that is known of it; of a slip by what is denied."""
+    rival = evidence(denied=0.15, overlap=0.7)
+    margins = [decision.measure_margins(e, CONFIG) for e in (RIGHT, rival)]
+    right, other = (m.smallest if kind == "others" else m.seen for m in margins)
     ratio = math.exp(right - other)
     assert ratio > 2.0
     for factor, reason in ((0.99, Reason.OK), (1.01, Reason.AMBIGUOUS)):
         config = dataclasses.replace(CONFIG, rival_odds=factor * ratio)
         assert doubt(RIGHT, config, **{kind: [rival]}).reason is reason
+
+
+def test_a_slip_is_held_against_the_structure_of_the_pose():
+    """Along a way that surfaces leave open nothing is denied; what the slip itself is held by does not matter."""
+    for weakest in (0.0, 0.1, 0.33):
+        slip = dataclasses.replace(RIGHT, oriented_overlap_ratio=0.7, weakest_constraint=weakest)
+        assert doubt(RIGHT, far_slips=[slip]).reason is Reason.AMBIGUOUS
+
+
+@pytest.mark.parametrize(
+    "slip",
+    [
+        evidence(denied=0.05, overlap=0.39), evidence(denied=0.05, overlap=0.79, opposed=0.8),
+        evidence(denied=0.05, overlap=0.79, filled=0.5),
+        evidence(denied=0.05, overlap=0.79, constraint=0.9 * CONFIG.min_constraint),
+    ],
+    ids=["less_than_half_of_the_overlap", "opposed", "fills_free_space", "agrees_one_way"],
+)  # fmt: skip
+def test_a_slip_that_is_told_by_something_else_casts_no_doubt(slip):
+    assert doubt(RIGHT, far_slips=[slip]).reason is Reason.OK
+    assert doubt(RIGHT, far_slips=[slip, evidence(denied=0.05, overlap=0.41)]).reason is Reason.AMBIGUOUS
 
 
 def test_a_rival_may_itself_be_just_beyond_a_border():
@@ -364,7 +389,7 @@ def test_near_slips_are_nearly_the_same_pose_and_doubt_only_by_looking_better():
 
 @pytest.mark.parametrize("kind", ["far_slips", "near_slips"])
 def test_a_slip_that_looks_better_takes_the_acceptance_back_even_if_it_is_far_less_likely(kind):
-    better = evidence(denied=0.05, overlap=0.9, weakest=0.0)
+    better = evidence(denied=0.05, overlap=0.9, opposed=0.9)
     assert decision.measure_margins(better, CONFIG).smallest < 0
     assert decision.score(better) > decision.score(RIGHT)
     assert doubt(RIGHT, **{kind: [better]}).reason is Reason.AMBIGUOUS

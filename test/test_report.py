@@ -247,7 +247,7 @@ class TestBorder:
 
     def test_it_follows_the_configuration_of_the_run(self, tmp_path):
         plain = preset("lidar_outdoor")
-        strict = with_values(plain, {"decision.offset": plain.decision.offset - 3.0})
+        strict = with_values(plain, {"decision.offset": plain.decision.offset - 5.0})
         assert decision_border(strict)["outer"][-1] < 0.5 * decision_border(plain)["outer"][-1]
 
     def test_other_methods_have_none(self):

@@ -246,8 +246,7 @@ def test_what_is_seen_does_not_depend_on_how_scans_are_written_down(kind):
 
 def lines_of(numbers: dict[str, float | int]) -> set[str]:
     """Names of what only the search along the sight lines tells."""
-    words = ("blocked_", "observed_", "num_lines", "num_free")
-    return {name for name in numbers if any(word in name for word in words)}
+    return {name for name in numbers if name.startswith(("blocked_", "observed_", "num_blocked", "num_lines"))}
 
 
 @pytest.mark.parametrize("kind", ["real", "random", "blind"])
@@ -260,15 +259,17 @@ def test_a_glance_is_the_evidence_without_the_lines(shared_data, kind):
         source, target, poses, config = random_scan(5000, 1, 4.0), random_scan(4000, 2, 4.0), [POSE], MIDDLE
         images = [build_range_image(s.points, s.sensor_origin, 0.1, 2.5) for s in (source, target)]
         if kind == "random":
+            free = Rotation.random(3000, random_state=3).apply([1.0, 0, 0])
             source, target = (
-                dataclasses.replace(s, range_image=image, memo={})
+                dataclasses.replace(s, range_image=image, free_directions=free, memo={})
                 for s, image in zip((source, target), images, strict=True)
             )
     for pose in poses:
         quick, whole = (look(source, target, pose, config) for look in (glance, gather_evidence))
         numbers, expected = quick.numbers(), whole.numbers()
         assert all(numbers[name] == 0 for name in lines_of(numbers))
-        assert len(lines_of(numbers)) == 14
+        assert len(lines_of(numbers)) == 8
+        assert (numbers["num_free_blocked_source_in_target"] > 0) == (kind == "random")
         assert {n: numbers[n] for n in numbers.keys() - lines_of(numbers)} == {
             n: expected[n] for n in expected.keys() - lines_of(expected)
         }

@@ -88,8 +88,8 @@ def draw_denied_surface(out: Path) -> None:
         share = num["denied"] / max(num["denied"] + num["confirmed"], 1)
         axes.set_title(f"{name}: {verdict}", loc="left", fontsize=13, fontweight="bold")
         axes.set_xlabel(
-            f"of {len(classes):,} points: {num['confirmed']:,} confirmed, {num['denied']:,} denied ({share:.1%} of both "
-            f"together), {num['hidden']:,} hidden, {num['unseen']:,} not looked at", loc="left", fontsize=11,
+            f"of {len(classes):,} points: {num['confirmed']:,} confirmed, {num['denied']:,} denied ({share:.1%} of "
+            f"both), {num['hidden']:,} hidden, {num['unseen']:,} not looked at", loc="left", fontsize=11,
         )  # fmt: skip
     _explain(figure)
     figure.tight_layout(rect=(0.0, 0.06, 1.0, 1.0), h_pad=1.6)
@@ -97,7 +97,7 @@ def draw_denied_surface(out: Path) -> None:
 
 
 def _draw_classes(axes: Any, placed: NDArray[np.float64], classes: NDArray[np.str_], target: PreparedScan) -> None:
-    """From above, with hardly any ground; what the sensor looked through at its own height is tinted."""
+    """From above, hardly any ground; what the sensor looked through at its own height is tinted."""
     axes.fill(*_looked_through(target).T, color=_FREE, linewidth=0, zorder=0)
     is_high = placed[:, 2] > np.percentile(target.points[:, 2], 10.0) + HIGH_M
     for kind in CLASSES:
@@ -176,7 +176,8 @@ def draw_border(out: Path) -> None:
         for x, y, text in places:
             axes.text(x, y, text, fontsize=11, color="#444444", va="center")
         axes.set_xlabel("how the agreeing surfaces resist a shift\n0: a corridor, 1/3: they face all ways alike")
-        axes.set_title(f"denied in {name} clusters, seen over {share * full_deg:.0f} degrees", loc="left", fontsize=12, color=_LINES[name])
+        title = f"denied in {name} clusters, seen over {share * full_deg:.0f} degrees"
+        axes.set_title(title, loc="left", fontsize=12, color=_LINES[name])
     figure.axes[0].set_ylabel("denied share")
     figure.tight_layout()
     figure.savefig(out, dpi=100)

@@ -124,6 +124,8 @@ def decide(evidence: SightViewEvidence, config: DecisionConfig) -> Decision:
 
 def _is_denied(evidence: SightViewEvidence, config: DecisionConfig) -> bool:
     """Whether more is denied than of a pose that is held firmly: then no structure would make it right."""
+    if not any(s.num_confirmed or s.num_denied for s in (evidence.source_surface, evidence.target_surface)):
+        return False  # nothing was seen, either way
     denied, wide, structure = describe(evidence)
     return _weigh((denied, wide, max(structure, math.log(config.firm_structure + _LEAST_STRUCTURE))), config) <= 0.0
 

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 Tables = tuple[NDArray[np.int16], NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]
 Size = tuple[float, float]
 
-_SINE_STEPS, _TURN_STEPS = 8192, 2048  # a hundredth of a degree, but near the poles
+_RISE_STEPS, _TURN_STEPS = 8192, 2048  # a few hundredths of a degree at most
 _LEAST_HELD = 4  # of nine cells: with fewer the sensor has hardly looked there
 _SMALLEST_DEG, _LARGEST_DEG = 0.4, 2.5
 _BEAMS = 1.05  # cells are a little higher than beams are apart, so that none falls between two of them
@@ -32,7 +32,7 @@ class RangeImage:
     """Least and greatest range of the directions around a sensor, over a cell and the eight around it.
 
     near, far: (C,) float32 [m], both -1 where the sensor did not look (fewer than four of the nine cells hold a point);
-    tables: rows by the sine of the elevation, turns by the quadrant's share, number of cells and first cell of every
+    tables: rows by the rise of a direction, turns by the quadrant's share, number of cells and first cell of every
     row: rows have fewer cells the nearer they are to a pole, so that all are about as wide; size_deg: height and width
     of a cell; dense_ratio: share of the cells with a point that are not -1.
     """
@@ -79,8 +79,9 @@ def _tables(size_deg: Size) -> Tables:
     """Of an image of all directions."""
     height, width = np.radians(size_deg)
     num_rows = int(np.ceil(np.pi / height))
-    sines = (np.arange(_SINE_STEPS + 1) + 0.5) * (2.0 / _SINE_STEPS) - 1.0
-    rows = np.minimum((np.arcsin(np.minimum(sines, 1.0)) + 0.5 * np.pi) / height, num_rows - 1).astype(np.int16)
+    rise = np.minimum((np.arange(_RISE_STEPS + 1) + 0.5) * (2.0 / _RISE_STEPS) - 1.0, 1.0)
+    elevation = np.arctan2(rise, 1.0 - np.abs(rise))
+    rows = np.minimum((elevation + 0.5 * np.pi) / height, num_rows - 1).astype(np.int16)
     middles = (np.arange(num_rows) + 0.5) * height - 0.5 * np.pi
     columns = np.maximum(np.round(2.0 * np.pi * np.cos(middles) / width), 4).astype(np.int32)
     starts = (np.cumsum(columns) - columns).astype(np.int32)
@@ -91,13 +92,12 @@ def _tables(size_deg: Size) -> Tables:
 
 
 def _used_rows(tables: Tables, far: NDArray[np.float32]) -> tuple[Tables, slice]:
-    """The tables of the rows between the lowest and the highest point, one more each way, and their cells."""
+    """The tables of the rows from the lowest to the highest point, and their cells."""
     rows, turns, columns, starts = tables
     held = np.flatnonzero(far)
     if len(held) == 0:
         return (np.full_like(rows, -1), turns, columns[:0], starts[:0]), slice(0, 0)
     first, last = np.searchsorted(starts, held[[0, -1]], side="right") - 1
-    first, last = max(first - 1, 0), min(last + 1, len(columns) - 1)
     begin, end = int(starts[first]), int(starts[last] + columns[last])
     inside = (rows >= first) & (rows <= last)
     kept = np.where(inside, rows - first, -1).astype(np.int16)

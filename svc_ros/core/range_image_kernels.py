@@ -18,14 +18,16 @@ _jit = njit(nogil=True, cache=True, error_model="numpy")
 def find_cell(x, y, z, rows, turns, columns, starts):  # type: ignore[no-untyped-def]
     """Cell of a direction (its length does not matter, but is not 0), -1 outside the image, and the length.
 
-    rows: by (sine of the elevation + 1) / 2, the row or -1; turns: by quadrant and |y| / (|x| + |y|), the share of a
-    turn in [0, 1); columns (R,), starts (R,): how many cells a row has, and where they begin.
+    rows: by (e + 1) / 2, where e = z / (|z| + the horizontal length) rises with the elevation from -1 to 1: the row or
+    -1; turns: by quadrant and |y| / (|x| + |y|), the share of a turn in [0, 1); columns (R,), starts (R,): how many
+    cells a row has, and where they begin.
     """
-    length = np.sqrt(x * x + y * y + z * z)
-    row = rows[int((z / length + 1.0) * (0.5 * (rows.shape[0] - 1)))]
+    a, b, c = abs(x), abs(y), abs(z)
+    sq_flat = x * x + y * y
+    length = np.sqrt(sq_flat + z * z)
+    row = rows[int((z / (c + np.sqrt(sq_flat)) + 1.0) * (0.5 * (rows.shape[0] - 1)))]
     if row < 0:
         return -1, length
-    a, b = abs(x), abs(y)
     flat = a + b
     k = int(b / flat * (turns.shape[1] - 1)) if flat > 0.0 else 0
     quadrant = (2 if y < 0.0 else 0) + (1 if x < 0.0 else 0)
