@@ -225,22 +225,27 @@ def _judge(pair: Pair, settled: Settled, others: list[SightViewEvidence]) -> Reg
     """Decide on a settled pose; an acceptance stands only if no different pose is about as good."""
     far, near = ([evidence for _, evidence in slips] for slips in (settled.far_slips, settled.near_slips))
     decided = decision.decide(settled.evidence, pair.config.decision)
-    if decided.verdict is Verdict.ACCEPTED and settled.evidence.denied_ratio > _NOTHING_MUCH:
-        others = [*others, *_look_at_half_turns(pair, settled)]
+    if decided.verdict is Verdict.ACCEPTED:
+        others = [*others, *look_at_half_turns(pair, settled.T_target_source, settled.evidence, settled.contact)]
     decided = decision.doubt(decided, settled.evidence, decision.Doubts(others, far, near), pair.config.decision)
     return pair.answer(settled.T_target_source, settled.evidence, decided, settled.contact)
 
 
-def _look_at_half_turns(pair: Pair, settled: Settled) -> list[SightViewEvidence]:
-    """What decides on the pose turned by half a circle about the middle of the agreeing surface, and refined.
+def look_at_half_turns(
+    pair: Pair, T: Array, evidence: SightViewEvidence, contact: SurfaceContact
+) -> list[SightViewEvidence]:
+    """What decides on a pose turned by half a circle about the middle of its agreeing surface, and refined.
 
-    About each of its main axes: in a hall, a staircase, an office the walls agree with themselves, turned.
+    About each of the main axes: in a hall, a staircase, an office the walls agree with themselves, turned. None is
+    looked at where next to nothing is denied.
     """
-    T, view, limits = settled.T_target_source, pair.config.sight_view, pair.config.shortlist
+    if evidence.denied_ratio <= _NOTHING_MUCH:
+        return []
+    view, limits = pair.config.sight_view, pair.config.shortlist
     with pair.watch.stage("half_turns"):
         nearest = place(pair.target, pair.source, T, view).nearest
         middle = pair.target.points[nearest[nearest >= 0]].mean(0)
-        turns = (half_turn(axis, middle) @ T for axis in settled.contact.axes())
+        turns = (half_turn(axis, middle) @ T for axis in contact.axes())
 
         def look(start: Array) -> SightViewEvidence:
             refined = icp.refine_roughly(start, pair.source, pair.target, pair.config)
