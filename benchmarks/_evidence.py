@@ -45,7 +45,7 @@ class Contact:
 @dataclass(frozen=True)
 class Row:
     """One labelled pose. seen: evidence of each view; slips: evidence of the shifted poses of a view, in the order of
-    `slipped`, where any rule might accept it; contact: of right poses only; verified: verdict and probability
+    `slipped`, and turns: of its half turns, where any rule might accept it; contact: of right poses only; verified: verdict and probability
     that `verify` gave, for a sample of poses."""
 
     dataset: str
@@ -55,6 +55,7 @@ class Row:
     moved: tuple[float, float]
     seen: Mapping[str, Numbers]
     slips: Mapping[str, Sequence[Numbers]]
+    turns: Mapping[str, Sequence[Numbers]]
     paper_blocked: float
     paper_passed: bool
     contact: Contact | None = None
@@ -124,15 +125,18 @@ def _measure(scans: tuple[PreparedScan, PreparedScan], config: Config, candidate
     refined = pair.refine(given, config.shortlist.icp_last_points)
     seen: dict[str, Numbers] = {}
     slips: dict[str, list[Numbers]] = {}
+    turns: dict[str, list[Numbers]] = {}
     for view, T in zip(VIEWS, (refined, given), strict=True):
         evidence = gather_evidence(*scans, T, config.sight_view)
         seen[view] = evidence.numbers()
         if _may_be_accepted(evidence, config.decision):
             slips[view] = [glance(*scans, slip, config.sight_view).numbers() for slip in slipped(pair, T)]
+            half_turns = selection.look_at_half_turns(pair, T, evidence, pair.contact(T))
+            turns[view] = [found.numbers() for found in half_turns]
     in_target, in_source, passed = paper_rule.check_both_ways(*scans, given, config.paper)
     correct = candidate.label == "correct"
     return Row(
-        "", "", candidate.origin, correct, pose_error(refined, given), seen, slips,
+        "", "", candidate.origin, correct, pose_error(refined, given), seen, slips, turns,
         max(in_target.blocked_ratio, in_source.blocked_ratio), passed,
         _contact(pair, refined, reference) if correct else None,
     )  # fmt: skip

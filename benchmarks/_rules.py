@@ -25,12 +25,13 @@ Configs = Mapping[str, Config]
 
 @dataclass(frozen=True)
 class Variant:
-    """svc with something taken away: another view of the pose, other borders, plain overlap, no doubts by slips."""
+    """svc with something taken away: another view of the pose, other borders, plain overlap, no doubts."""
 
     view: str = "refined"
     borders: Mapping[str, Any] = field(default_factory=dict)
     plain_overlap: bool = False
     slips: bool = True
+    turns: bool = True
 
 
 SVC = "svc"
@@ -42,6 +43,7 @@ VARIANTS: dict[str, Variant] = {
     "svc, opposed surfaces allowed": Variant(borders={"max_opposed_per_overlap": OPEN}),
     "svc, one plane is enough": Variant(borders={"min_constraint": 1e-4}),
     "svc, no doubt by slips": Variant(slips=False),
+    "svc, no doubt by half turns": Variant(turns=False),
 }
 
 
@@ -64,9 +66,10 @@ def answer_variant(row: Row, config: Config, variant: Variant) -> Answer:
 
     seen = evidence(row.seen[variant.view])
     decided = decision.decide(seen, borders)
-    if decided.verdict is Verdict.ACCEPTED and variant.slips:
-        slips = [evidence(numbers) for numbers in row.slips[variant.view]]
-        doubts = decision.Doubts([], slips[0::4] + slips[3::4], slips[1::4] + slips[2::4])
+    if decided.verdict is Verdict.ACCEPTED:
+        slips = [evidence(numbers) for numbers in row.slips[variant.view] if variant.slips]
+        turns = [evidence(numbers) for numbers in row.turns[variant.view] if variant.turns]
+        doubts = decision.Doubts(turns, slips[0::4] + slips[3::4], slips[1::4] + slips[2::4])
         decided = decision.doubt(decided, seen, doubts, borders)
     return decided.verdict is Verdict.ACCEPTED, decided.probability
 

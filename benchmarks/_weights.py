@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
+import _simulated_halls
 import numpy as np
 from _evidence import Row, evidence_of
 from _rules import Answer, Configs, Variant, answer_variant, fit_logistic, is_moved, smallest_margin
@@ -22,10 +23,14 @@ Weights = dict[str, float]
 
 
 def in_contact(rows: Sequence[Row], configs: Configs) -> list[Row]:
-    """Rows that the weights have to tell apart: enough surface agrees, and refinement left the pose where it was."""
+    """Rows that the weights have to tell apart: enough surface agrees, and refinement left the pose where it was.
+
+    Half turns in halls look as right as a pose can; they are told by holding both against each other, not by weights.
+    """
     return [
         row for row in rows
-        if not is_moved(row, configs[row.dataset])
+        if row.dataset not in _simulated_halls.PRESETS
+        and not is_moved(row, configs[row.dataset])
         and row.seen["refined"]["oriented_overlap_ratio"] >= configs[row.dataset].decision.min_oriented_overlap
         and row.seen["refined"]["constraint_ratio"] >= configs[row.dataset].decision.min_constraint
     ]  # fmt: skip

@@ -19,6 +19,7 @@ import _calibration
 import _rules
 import _sensors
 import _simulated
+import _simulated_halls
 import _simulated_sensors
 import _spread_of_errors
 import _weights
@@ -47,6 +48,7 @@ IN_PICTURE = (
     "svc", OTHERS, "svc, not refined", "svc, nothing denied", "denied share alone", "svc_paper", "overlap 0.3",
     "logistic, no sight lines", "logistic, sight lines",
 )  # fmt: skip
+SIMULATED = {"traffic and rooms": _simulated, "simulated sensors": _simulated_sensors, "halls": _simulated_halls}
 Answers = dict[str, list[_rules.Answer]]
 
 
@@ -59,7 +61,7 @@ def main() -> None:
 
     options = parse_options("Compare decision rules on labelled poses.", extend)
     datasets = [d for d in read_datasets(options.data) if d.candidates]
-    given = {} if options.no_simulated else _simulated.PRESETS | _simulated_sensors.PRESETS
+    given = {} if options.no_simulated else _simulated.PRESETS | _simulated_sensors.PRESETS | _simulated_halls.PRESETS
     simulated = {name: preset(of_group) for name, of_group in given.items()}
     configs = {d.name: config_of(d) for d in datasets} | simulated
     rows, run = collect(datasets, options, bool(simulated))
@@ -96,12 +98,9 @@ def collect(
     run = describe_run(datasets)
     jobs = [(dataset, pair, k) for dataset in datasets for k, pair in enumerate(dataset.candidates)]
     rows = [row for of_pair in spread(gather, jobs, options.workers, "labelled poses") for row in of_pair]
-    if simulate:
-        places = [(place, k) for k, place in enumerate(_simulated.places())]
-        measured = spread(_simulated.gather_simulated, places, options.workers, "simulated poses")
-        rows += [row for at_place in measured for row in at_place]
-        places = [(place, k) for k, place in enumerate(_simulated_sensors.places())]
-        measured = spread(_simulated_sensors.gather_simulated, places, options.workers, "simulated sensors")
+    for name, group in SIMULATED.items() if simulate else ():
+        places = [(place, k) for k, place in enumerate(group.places())]
+        measured = spread(group.gather_simulated, places, options.workers, name)
         rows += [row for at_place in measured for row in at_place]
     if kept is not None:
         kept.write_bytes(pickle.dumps((rows, run)))

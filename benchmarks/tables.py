@@ -40,6 +40,7 @@ PARTS = {  # what is taken away, as decision.py names it -> as the page does
     "svc, opposed surfaces allowed": "`decision.max_opposed_per_overlap`",
     "svc, one plane is enough": "`decision.min_constraint`",
     "svc, no doubt by slips": "doubts by slips",
+    "svc, no doubt by half turns": "doubts by half turns",
 }
 METHODS = {  # as registration.py names them -> as the pages do
     "svc": "`svc`",

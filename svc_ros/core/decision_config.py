@@ -15,10 +15,10 @@ class DecisionConfig(Group):
     and tested on sensors left out (benchmarks/decision.py).
     """
 
-    offset: float = value(-1.52, "log odds of a right pose: offset", "", -100.0, 100.0)
-    denied_weight: float = value(2.28, "less this times the log of the denied share", "", 0.0, 100.0)
-    wide_denied_weight: float = value(1.54, "and of the same, clusters counting by their angle", "", 0.0, 100.0)
-    structure_weight: float = value(5.86, "plus this times the log of how surfaces resist a shift", "", 0.0, 100.0)
+    offset: float = value(-1.56, "log odds of a right pose: offset", "", -100.0, 100.0)
+    denied_weight: float = value(2.24, "less this times the log of the denied share", "", 0.0, 100.0)
+    wide_denied_weight: float = value(1.59, "and of the same, clusters counting by their angle", "", 0.0, 100.0)
+    structure_weight: float = value(5.84, "plus this times the log of how surfaces resist a shift", "", 0.0, 100.0)
     min_probability: float = value(0.5, "a pose that is less probable is not accepted, but undecided", "", 0.5, 1.0)
     min_oriented_overlap: float = value(0.08, "less oriented overlap is too little to accept", "", 1e-3, 1.0)
     min_constraint: float = value(0.01, "less agreement across two directions is too little", "", 1e-4, 1.0)

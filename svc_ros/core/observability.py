@@ -37,6 +37,10 @@ class SurfaceContact:
         strength, axes = self._resistance()
         return axes[0], float(strength[0])
 
+    def axes(self) -> Array:
+        """Main directions of the agreeing surfaces, (3, 3) unit by rows, the one that is resisted least first."""
+        return self._resistance()[1]
+
     def weak_directions(self, limit: float) -> Array:
         """The weakest direction and every further one that resists less than `limit`, (D, 3)."""
         strength, axes = self._resistance()

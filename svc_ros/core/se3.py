@@ -28,6 +28,12 @@ def make_pose(rotation: ArrayLike, translation: ArrayLike) -> Array:
     return T
 
 
+def half_turn(axis: Array, middle: Array) -> Array:
+    """The pose (4, 4) that turns by half a circle about a unit axis (3,) through a point (3,) [m]."""
+    R = 2.0 * np.outer(axis, axis) - np.eye(3)
+    return make_pose(R, middle - R @ middle)
+
+
 def invert(T: ArrayLike) -> Array:
     """Invert poses (..., 4, 4): T_source_target from T_target_source."""
     T = np.asarray(T, np.float64)

@@ -21,10 +21,11 @@ from svc_ros.core.placement import place
 from svc_ros.core.prescore import thinned_scan
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Array, Correspondences, HypothesisSet, PreparedScan
-from svc_ros.core.se3 import pose_error
+from svc_ros.core.se3 import half_turn, pose_error
 from svc_ros.core.sight_view import gather_evidence, glance, index, look_both_ways
 from svc_ros.core.stopwatch import Stopwatch
 
+_NOTHING_MUCH = 0.025  # denied share up to which an accepted pose is not held against its half turns
 _HOPELESS = float(np.log(8.0))  # a pose that promises less by this can neither win nor cast doubt on the winner
 
 
@@ -224,8 +225,35 @@ def _judge(pair: Pair, settled: Settled, others: list[SightViewEvidence]) -> Reg
     """Decide on a settled pose; an acceptance stands only if no different pose is about as good."""
     far, near = ([evidence for _, evidence in slips] for slips in (settled.far_slips, settled.near_slips))
     decided = decision.decide(settled.evidence, pair.config.decision)
+    if decided.verdict is Verdict.ACCEPTED:
+        others = [*others, *look_at_half_turns(pair, settled.T_target_source, settled.evidence, settled.contact)]
     decided = decision.doubt(decided, settled.evidence, decision.Doubts(others, far, near), pair.config.decision)
     return pair.answer(settled.T_target_source, settled.evidence, decided, settled.contact)
+
+
+def look_at_half_turns(
+    pair: Pair, T: Array, evidence: SightViewEvidence, contact: SurfaceContact
+) -> list[SightViewEvidence]:
+    """What decides on a pose turned by half a circle about the middle of its agreeing surface, and refined.
+
+    About each of the main axes: in a hall, a staircase, an office the walls agree with themselves, turned. None is
+    looked at where next to nothing is denied.
+    """
+    if evidence.denied_ratio <= _NOTHING_MUCH:
+        return []
+    view, limits = pair.config.sight_view, pair.config.shortlist
+    with pair.watch.stage("half_turns"):
+        nearest = place(pair.target, pair.source, T, view).nearest
+        middle = pair.target.points[nearest[nearest >= 0]].mean(0)
+        turns = (half_turn(axis, middle) @ T for axis in contact.axes())
+
+        def look(start: Array) -> SightViewEvidence:
+            refined = icp.refine_roughly(start, pair.source, pair.target, pair.config)
+            refined = icp.refine_by_icp(refined, pair.source, pair.target, pair.config, limits.icp_points)
+            return glance(pair.source, pair.target, refined, view)
+
+        icp.index(pair.target, pair.config)
+        return on_all_processors(look, turns)
 
 
 def _settle(pair: Pair, T: Array) -> Settled:
