@@ -29,13 +29,16 @@ def evidence(
     return dataclasses.replace(found, **changes)
 
 
-def row(dataset: str, correct: bool, shown: SightViewEvidence, slips: Iterable[SightViewEvidence] = (), **changes: Any):
+def row(
+    dataset: str, correct: bool, shown: SightViewEvidence, slips: Iterable[SightViewEvidence] = (),
+    turns: Iterable[SightViewEvidence] = (), **changes: Any,
+):  # fmt: skip
     """A row whose views all show the same."""
     from _evidence import VIEWS, Row
 
     views = dict.fromkeys(VIEWS, shown.numbers())
-    shifted = {view: [slip.numbers() for slip in slips] for view in VIEWS}
-    made = Row(dataset, "pair", "toy", correct, (0.0, 0.0), views, shifted, 0.5, not correct)
+    others = [{view: [e.numbers() for e in given] for view in VIEWS} for given in (slips, turns)]
+    made = Row(dataset, "pair", "toy", correct, (0.0, 0.0), views, *others, 0.5, not correct)
     return dataclasses.replace(made, **changes)
 
 

@@ -16,7 +16,7 @@ from decision_rows import evidence, planted_rows, row, surface, toy_rows
 from mini_data import write_dataset
 from test_readme import module_from
 
-from svc_ros.core import decision
+from svc_ros.core import decision, se3
 from svc_ros.core.config import preset
 from svc_ros.core.evidence import SightLines, SightViewEvidence
 from svc_ros.core.result import Verdict
@@ -42,12 +42,13 @@ def report(tmp_path_factory) -> tuple[dict, Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(FOLDER))
         import _simulated
+        import _simulated_halls
         import _simulated_sensors
         import decision as script
 
         (folder / "pairs").mkdir()
         write_dataset(folder / "pairs" / "room")
-        groups = ("room", *_simulated.PRESETS, *_simulated_sensors.PRESETS)
+        groups = ("room", *_simulated.PRESETS, *_simulated_sensors.PRESETS, *_simulated_halls.PRESETS)
         kept = folder / "rows.pkl"
         kept.write_bytes(pickle.dumps((toy_rows(groups), {"commit": "abc"})))
         options = ["--data", str(folder / "pairs"), "--out", str(folder), "--rows", str(kept)]
@@ -313,11 +314,45 @@ def test_rooms_are_wrong_poses_that_registration_found(monkeypatch):
     assert only.verified is not None
 
 
+def test_halls_are_a_true_pose_and_its_half_turn(monkeypatch):
+    import _evidence
+    import _simulated_halls
+    from _rules import VARIANTS, answer_variant
+
+    places = _simulated_halls.places()
+    assert len(set(places)) == len(places) == 24
+    place = places[0]
+    monkeypatch.setattr(_evidence, "_EVERY", 1)
+    truth, turned = judged = _simulated_halls.judge(place).candidates
+    assert [(c.label, c.origin) for c in judged] == [("correct", "truth"), ("wrong", "half turn")]
+    apart = se3.invert(truth.T_target_source) @ turned.T_target_source
+    assert se3.pose_error(apart, np.eye(4))[0] == pytest.approx(180.0, abs=1e-3)
+    assert abs(apart[2, 3]) < 1e-9  # about the vertical
+    rows = _simulated_halls.gather_simulated((place, 0))
+    assert [(r.dataset, r.correct) for r in rows] == [(_simulated_halls.HALLS, True), (_simulated_halls.HALLS, False)]
+    assert all(r.seen["refined"]["oriented_overlap_ratio"] > 0.3 for r in rows)  # the walls agree either way
+    answers = {k: answer_variant(r, place.config, VARIANTS["svc"]) for k, r in enumerate(rows)}
+    assert _evidence.check_against_verify(rows, answers) == (2, 0)
+    assert not answers[1][0]
+
+
+def test_no_weight_is_fitted_to_halls():
+    from _weights import compare_weights, fit_weights
+
+    rows, configs = toy_rows(CONFIGS), CONFIGS | {"simulated halls": preset("lidar_indoor")}
+    halls = [row("simulated halls", correct, evidence(0.6 if correct else 0.001, 0.2)) for correct in (True, False)]
+    assert fit_weights(rows + halls, configs) == fit_weights(rows, CONFIGS)
+    found = compare_weights(rows + halls, configs)
+    assert found["num_right_and_wrong"]["simulated halls"] == [0, 0]
+    assert found["leave_one_sensor_out"]["simulated halls"]["weights"] == found["fitted_to_all"]
+
+
 # --- the script -------------------------------------------------------------------------------------------------------
 
 
 def test_recorded_and_all_simulated_poses_are_measured_once(monkeypatch, tmp_path):
     import _simulated
+    import _simulated_halls
     import _simulated_sensors
     import decision as script
 
@@ -331,14 +366,14 @@ def test_recorded_and_all_simulated_poses_are_measured_once(monkeypatch, tmp_pat
     dataset = read_dataset(write_dataset(tmp_path / "room"))
     options = argparse.Namespace(rows=tmp_path / "rows.pkl", workers=1)
     rows, run = script.collect([dataset], options, simulate=True)
-    (_, recorded), (traffic_of, traffic), (sensors_of, sensors) = asked
+    (_, recorded), *simulated = asked
     assert [job[1:] for job in recorded] == [(dataset.candidates[0], 0)]
-    assert (traffic_of, sensors_of) == (_simulated.gather_simulated, _simulated_sensors.gather_simulated)
-    assert [place for place, _ in traffic] == _simulated.places()
-    assert [place for place, _ in sensors] == _simulated_sensors.places()
-    assert len(rows) == 6
+    for (gather, jobs), group in zip(simulated, (_simulated, _simulated_sensors, _simulated_halls), strict=True):
+        assert gather is group.gather_simulated
+        assert [place for place, _ in jobs] == group.places()
+    assert len(rows) == 8
     again, same = script.collect([dataset], options, simulate=True)
-    assert (again, same, len(asked)) == (rows, run, 3)
+    assert (again, same, len(asked)) == (rows, run, 4)
     options.rows = None
     assert len(script.collect([dataset], options, simulate=False)[0]) == 2
 
@@ -369,7 +404,7 @@ def test_the_script_compares_fits_and_writes(report):
 
     found, folder = report
     assert found["run"] == {"commit": "abc"}
-    assert len(found["num_poses"]) == 8
+    assert len(found["num_poses"]) == 9
     assert set(found["num_poses"].values()) == {60}
     assert list(found["weights"]["leave_one_sensor_out"]) == list(found["num_poses"])
     rules = found["decision"]["all sets"]

@@ -26,11 +26,11 @@ def scripts(monkeypatch):
     monkeypatch.syspath_prepend(str(FOLDER))
 
 
-def answer(variant: str, seen, slips=(), **changes) -> bool:
+def answer(variant: str, seen, slips=(), turns=(), **changes) -> bool:
     """Whether a variant accepts the pose, whose probability tells the same."""
     from _rules import VARIANTS, answer_variant
 
-    accepted, probability = answer_variant(row("a", True, seen, slips, **changes), CONFIG, VARIANTS[variant])
+    accepted, probability = answer_variant(row("a", True, seen, slips, turns, **changes), CONFIG, VARIANTS[variant])
     assert accepted == (probability >= 0.5)
     return accepted
 
@@ -87,6 +87,16 @@ def test_slips_raise_doubts_by_their_place():
                   [BAD, better, BAD, BAD], [BAD, BAD, better, BAD]):  # fmt: skip
         assert not answer("svc", GOOD, slips)
         assert answer("svc, no doubt by slips", GOOD, slips)
+
+
+def test_half_turns_raise_doubts_where_they_are_about_as_likely():
+    worse = evidence(0.07, 0.25)  # still likelier right than wrong
+    for turn, doubted in ((GOOD, True), (evidence(0.006, 0.25), True), (worse, False), (BAD, False)):
+        for turns in ([turn], [BAD, BAD, turn]):
+            assert answer("svc", GOOD, turns=turns) == (not doubted)
+            assert answer("svc, no doubt by slips", GOOD, turns=turns) == (not doubted)
+            assert answer("svc, no doubt by half turns", GOOD, turns=turns)
+    assert not answer("svc, no doubt by half turns", GOOD, [GOOD] * 4)  # slips still do
 
 
 def test_the_denied_share_alone():
