@@ -45,8 +45,8 @@ class Contact:
 @dataclass(frozen=True)
 class Row:
     """One labelled pose. seen: evidence of each view; slips: evidence of the shifted poses of a view, in the order of
-    `slipped`, and turns: of its half turns, where any rule might accept it; contact: of right poses only; verified: verdict and probability
-    that `verify` gave, for a sample of poses."""
+    `slipped`, and turns: of its half turns, where any rule might accept it; contact: of right poses only; verified:
+    verdict and probability that `verify` gave, for a sample of poses."""
 
     dataset: str
     pair: str
