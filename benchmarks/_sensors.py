@@ -1,4 +1,4 @@
-"""Which sensor a set was taken with: what is left out of a fit together, so that no tested sensor was ever seen."""
+"""Which sensor a set was taken with: sets that are left out together, so that a fit saw no recording of it."""
 
 from __future__ import annotations
 

@@ -68,9 +68,10 @@ def test_stages_measures_every_stage_and_both_twins(monkeypatch, data, tmp_path)
                   found["hypotheses"]["speedup_vs_dense_5000"], found["icp"]["speedup_vs_small_gicp"]):  # fmt: skip
         assert math.isfinite(value)
     assert (check["points"], found["hypotheses"]["correspondences"]) == (500, 200)
-    assert {"voxel grid", "normals", "FPFH", "first matching", "sight view", "ICP", "pre-scoring", "verify"} <= set(
-        found["stages"]["points"]
-    )
+    assert set(found["stages"]["points"]) == {
+        "voxel grid", "normals", "range image", "FPFH", "matching of all", "first matching", "first sight view",
+        "sight view", "glance", "pre-scoring", "ICP", "verify",
+    }  # fmt: skip
     for table, numbers in (("points", [300, 600]), ("correspondences", [100, 200]), ("hypotheses", [20, 40])):
         for stage in found["stages"][table].values():
             assert stage["number"] == numbers
@@ -99,7 +100,7 @@ def test_twins_answer_the_same_question_and_a_wrong_one_is_noticed(monkeypatch, 
         _checks.check_jobs(pair, room.wrong_pose)
 
 
-@pytest.mark.parametrize("field", ["num_observed", "num_scattered", "blocked_idx", "blocker_idx"])
+@pytest.mark.parametrize("field", ["num_lines", "num_observed", "blocked_idx", "blocker_idx"])
 def test_every_part_of_the_sight_lines_is_compared(room, field):
     import _checks
 

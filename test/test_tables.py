@@ -44,7 +44,7 @@ def test_changed_results_change_the_tables(tables, results):
     decision["decision"]["simulated rooms"]["svc"]["num_false_accepted"] = 54
     registration["registration"]["all sets"]["svc"]["by_overlap"]["< 0.3"] = [33, 44]
     written = tables.fill(PAGE.read_text("utf-8"), changed)
-    assert "| nothing | 1.000 | 987 |" in written
+    assert f"| nothing | {decision['decision']['recorded sets']['svc']['f1']:.3f} | 987 |" in written
     assert f"54 of {decision['decision']['simulated rooms']['svc']['num_wrong']}<!-- /rooms accepted -->" in written
     assert "| `svc` | 33 of 44 |" in written
     assert tables.fill(written, results) == PAGE.read_text("utf-8")
