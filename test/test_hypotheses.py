@@ -158,7 +158,8 @@ def test_pooled_hypotheses_are_those_of_both_thresholds_best_first():
     config = HypothesisConfig(compatibility_threshold_m=0.1, inlier_threshold_m=0.6)
     pooled = stage.pool_hypotheses(case, config)
     each = [
-        stage.generate_hypotheses(case, dataclasses.replace(config, compatibility_threshold_m=limit)) for limit in (0.1, 0.6)
+        stage.generate_hypotheses(case, dataclasses.replace(config, compatibility_threshold_m=limit))
+        for limit in (0.1, 0.6)
     ]
     assert len(pooled) == sum(map(len, each))
     assert (np.diff(pooled.score) <= 0).all()
