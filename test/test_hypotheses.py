@@ -151,3 +151,24 @@ def test_no_upright_hypothesis_is_no_hypothesis():
     case = Correspondences.from_points(x, se3.apply(turned("y", 40.0), x))
     assert len(stage.generate_hypotheses(case, CONFIG)) > 0
     assert len(stage.generate_hypotheses(case, dataclasses.replace(CONFIG, gravity_aligned=True))) == 0
+
+
+def test_pooled_hypotheses_are_those_of_both_thresholds_best_first():
+    case = random_case(200)
+    config = HypothesisConfig(compatibility_threshold_m=0.1, inlier_threshold_m=0.6)
+    pooled = stage.pool_hypotheses(case, config)
+    each = [
+        stage.generate_hypotheses(case, dataclasses.replace(config, compatibility_threshold_m=limit))
+        for limit in (0.1, 0.6)
+    ]
+    assert len(pooled) == sum(map(len, each))
+    assert (np.diff(pooled.score) <= 0).all()
+    for one in each:
+        for T in one.T_target_source[:5]:
+            assert (np.abs(pooled.T_target_source - T).max((1, 2)) == 0).any()
+
+
+def test_a_threshold_as_wide_as_the_inliers_is_not_pooled_twice():
+    case = random_case(200)
+    config = HypothesisConfig(compatibility_threshold_m=0.6, inlier_threshold_m=0.6)
+    assert len(stage.pool_hypotheses(case, config)) == len(stage.generate_hypotheses(case, config))

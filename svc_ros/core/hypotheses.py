@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,6 +28,23 @@ def generate_hypotheses(correspondences: Correspondences, config: HypothesisConf
     T, valid = se3.kabsch(x[sets], y[sets], weights)
     T = T[valid & (sizes >= 3)]
     return rank(drop_tilted(T, config.max_tilt_deg) if config.gravity_aligned else T, correspondences, config)
+
+
+def pool_hypotheses(correspondences: Correspondences, config: HypothesisConfig) -> HypothesisSet:
+    """Those of the configured compatibility threshold and of one as large as the inlier threshold, best first.
+
+    A narrow threshold parts few right matches from very many wrong ones; where all right matches are off by more, along
+    a wide road between structures that repeat, only the wide one finds their sets.
+    """
+    found = [generate_hypotheses(correspondences, config)]
+    if config.inlier_threshold_m > config.compatibility_threshold_m:
+        wide = dataclasses.replace(config, compatibility_threshold_m=config.inlier_threshold_m)
+        found.append(generate_hypotheses(correspondences, wide))
+    T, num_inliers, score = (
+        np.concatenate([getattr(each, name) for each in found]) for name in ("T_target_source", "num_inliers", "score")
+    )
+    order = np.argsort(-score, kind="stable")
+    return HypothesisSet(T[order], num_inliers[order], score[order])
 
 
 def select_seeds(source_points: Array, confidence: Array, config: HypothesisConfig) -> IndexArray:

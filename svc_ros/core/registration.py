@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 from svc_ros.core import selection
 from svc_ros.core.config import Config
 from svc_ros.core.features import compute_features
-from svc_ros.core.hypotheses import generate_hypotheses
+from svc_ros.core.hypotheses import generate_hypotheses, pool_hypotheses
 from svc_ros.core.matching import match
 from svc_ros.core.parallel import on_all_processors
 from svc_ros.core.preprocess import preprocess
@@ -59,8 +59,9 @@ def _answer(pair: Pair, correspondences: Correspondences) -> RegistrationResult:
         detail = f"{len(correspondences)} correspondences, at least {config.matching.min_correspondences} are needed"
         return _unanswered(Reason.TOO_FEW_CORRESPONDENCES, detail, pair)
     # Poses that many correspondences agree on.
+    generate = pool_hypotheses if config.shortlist.rough_poses and config.method == "svc" else generate_hypotheses
     with pair.watch.stage("hypotheses"):
-        hypotheses = generate_hypotheses(correspondences, config.hypotheses)
+        hypotheses = generate(correspondences, config.hypotheses)
     counts["hypotheses"] = len(hypotheses)
     if len(hypotheses) == 0:
         return _unanswered(Reason.NO_HYPOTHESIS, "no consistent set of correspondences", pair)
