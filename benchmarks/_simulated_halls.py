@@ -22,7 +22,7 @@ from svc_ros.simulation.world import Scene, SceneObject, Track
 
 HALLS = "simulated halls"
 PRESETS = {HALLS: "lidar_indoor"}
-SENSORS, SEEDS = ("OS0-64", "OS1-64", "VLP-16"), range(101, 109)
+SENSORS, SEEDS = ("OS0-64", "OS1-64", "VLP-16"), range(111, 119)
 _SIDES_M, _HEIGHT_M = (6.0, 18.0), (2.6, 5.0)  # of a hall, from and to
 _THINGS, _SIZE_M = (4, 10), (0.4, 2.5)  # boxes in it, and their edges
 _SENSOR_HEIGHT_M, _WALL_M = 1.2, 0.2
@@ -82,8 +82,8 @@ def _hall(rng: np.random.Generator, sides: Array, stands: list[Array]) -> Scene:
     shell = [((a, b, _WALL_M), (0.0, 0.0, z)) for z in (-_WALL_M, height)]
     shell += [((_WALL_M, b, height), (side * 0.5 * (a + _WALL_M), 0.0, 0.0)) for side in (-1, 1)]
     shell += [((a, _WALL_M, height), (0.0, side * 0.5 * (b + _WALL_M), 0.0)) for side in (-1, 1)]
-    things = []
-    while len(things) < rng.integers(*_THINGS):
+    things, num_things = [], rng.integers(*_THINGS)
+    while len(things) < num_things:
         size = np.minimum(rng.uniform(*_SIZE_M, 3), (*(0.3 * sides), height))
         at = rng.uniform(-0.5, 0.5, 2) * (sides - size[:2])
         if all(np.hypot(*(at - T[:2, 3])) > _CLEAR_M + 0.5 * np.hypot(*size[:2]) for T in stands):
