@@ -16,6 +16,7 @@ _LEAST_STRUCTURE = 0.03  # added to the resistance, in whose logarithm next to n
 _SLOPE = 2.0  # of log odds over the margins that are not fitted
 _DENIED_WEIGHT = 1.5  # a denied point counts as much as this many agreeing ones
 _KEPT_OVERLAP = 0.5  # of the pose's: a slip that loses more is told by that
+_UNCERTAIN_SCORE, _UNCERTAIN_ODDS = 0.1, 3.0  # of a look with few points
 _FLOOR = 1e-3  # smallest share that logarithms see
 
 
@@ -187,9 +188,25 @@ def _is_no_worse(slip: SightViewEvidence, evidence: SightViewEvidence, near: flo
     """Whether hardly more is denied of a slip than of the pose itself."""
     if slip.oriented_overlap_ratio < _KEPT_OVERLAP * evidence.oriented_overlap_ratio:
         return False
+    return _lost_odds(slip, evidence, config) < near and min(*_other_margins(slip, config)) > 0.0
+
+
+def _lost_odds(slip: SightViewEvidence, evidence: SightViewEvidence, config: DecisionConfig) -> float:
+    """How much less likely, in log odds, a slip is by what is denied alone."""
     _, _, structure = describe(evidence)
-    odds = [_weigh((*describe(e)[:2], structure), config) for e in (slip, evidence)]
-    return odds[0] > odds[1] - near and min(*_other_margins(slip, config)) > 0.0
+    pose, slipped = (_weigh((*describe(e)[:2], structure), config) for e in (evidence, slip))
+    return pose - slipped
+
+
+def is_far_worse(slip: SightViewEvidence, evidence: SightViewEvidence, config: DecisionConfig) -> bool:
+    """Whether a slip, looked at with few points, is so much worse that all of them could make it no rival.
+
+    Few points make a share of next to nothing larger, by up to 2.4 in log odds, and scores uncertain by a few percent.
+    """
+    if score(slip) > score(evidence) - _UNCERTAIN_SCORE:
+        return False
+    lost_overlap = slip.oriented_overlap_ratio < (_KEPT_OVERLAP - 0.1) * evidence.oriented_overlap_ratio
+    return lost_overlap or _lost_odds(slip, evidence, config) > math.log(config.rival_odds) + _UNCERTAIN_ODDS
 
 
 def _ambiguous(decided: Decision, evidence: SightViewEvidence, other: SightViewEvidence) -> Decision:

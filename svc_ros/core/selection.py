@@ -25,6 +25,7 @@ from svc_ros.core.se3 import half_turn, pose_error
 from svc_ros.core.sight_view import gather_evidence, glance, index, look_both_ways
 from svc_ros.core.stopwatch import Stopwatch
 
+_GLIMPSE_POINTS = 1500
 _NOTHING_MUCH = 0.025  # denied share up to which an accepted pose is not held against its half turns
 _HOPELESS = float(np.log(8.0))  # a pose that promises less by this can neither win nor cast doubt on the winner
 
@@ -63,6 +64,21 @@ class Pair:
         with self.watch.stage("sight_view"):
             index((self.source, self.target), view)
             return on_all_processors(lambda T: glance(self.source, self.target, T, view), poses)
+
+    def glance_at_slips(self, slips: Sequence[Array], evidence: SightViewEvidence) -> list[SightViewEvidence]:
+        """The same of slips of a pose with that evidence; with few points where they tell enough against a slip."""
+        view, decides = self.config.sight_view, self.config.decision
+
+        def look(T: Array) -> SightViewEvidence:
+            few = glance(self.source, self.target, T, view, _GLIMPSE_POINTS)
+            hopeless = decision.is_far_worse(few, evidence, decides)
+            return few if hopeless else glance(self.source, self.target, T, view)
+
+        with self.watch.stage("sight_view"):
+            for scan in (self.source, self.target):
+                thinned_scan(scan, _GLIMPSE_POINTS)
+            index((self.source, self.target), view)
+            return on_all_processors(look, slips)
 
     def promise(self, evidence: SightViewEvidence) -> float:
         """What poses are ranked by: the smallest margin that the decision will look at."""
@@ -277,7 +293,7 @@ def _with_slips(pair: Pair, T: Array, evidence: SightViewEvidence, contact: Surf
         [shift(T, direction, sign * distance_m) for direction in directions for sign in (-1.0, 1.0)]
         for distance_m in (config.slip_m, 0.5 * config.slip_m)
     )
-    slips = list(zip(far + near, pair.glance_at_all(far + near), strict=True))
+    slips = list(zip(far + near, pair.glance_at_slips(far + near, evidence), strict=True))
     return Settled(T, evidence, contact, slips[: len(far)], slips[len(far) :])
 
 

@@ -20,6 +20,7 @@ from svc_ros.core.free_space import count_free_blocked
 from svc_ros.core.neighbours import direction_grid, nearest_grid
 from svc_ros.core.parallel import on_all_processors
 from svc_ros.core.placement import Placement, place
+from svc_ros.core.prescore import thinned_scan
 from svc_ros.core.scan import Array, PreparedScan
 from svc_ros.core.seen_surface import look_through
 
@@ -28,10 +29,15 @@ _NOTHING = np.zeros(0, np.int64)
 
 
 def glance(
-    source: PreparedScan, target: PreparedScan, T_target_source: Array, config: SightViewConfig
+    source: PreparedScan, target: PreparedScan, T_target_source: Array, config: SightViewConfig, num_points: int = 0
 ) -> SightViewEvidence:
-    """What decides on a pose: the other scan's surface as both sensors saw it, and free space; no blocked lines."""
+    """What decides on a pose: the other scan's surface as both sensors saw it, and free space; no blocked lines.
+
+    num_points: about so many points of each scan are held against the other one; 0: all.
+    """
     ways = _both_ways(source, target, T_target_source)
+    if num_points:
+        ways = tuple((observer, thinned_scan(other, num_points), T) for observer, other, T in ways)
     (in_target, on_source), (in_source, on_target) = (_see(way, config) for way in ways)
     free = _free_space(target, in_target, config), _free_space(source, in_source, config)
     lines = SightLines(0, 0, _NOTHING, _NOTHING, *free[0]), SightLines(0, 0, _NOTHING, _NOTHING, *free[1])
@@ -73,7 +79,7 @@ def _see(way: Way, config: SightViewConfig) -> tuple[Placement, SeenSurface]:
     return placement, look_through(way[0], placement, config)
 
 
-def _both_ways(source: PreparedScan, target: PreparedScan, T_target_source: Array) -> tuple[Way, Way]:
+def _both_ways(source: PreparedScan, target: PreparedScan, T_target_source: Array) -> tuple[Way, ...]:
     """Who looks, whom it looks at, and where that one stands in its frame."""
     return (target, source, T_target_source), (source, target, se3.invert(T_target_source))
 
