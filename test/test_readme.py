@@ -293,6 +293,7 @@ def test_a_readme_without_marks_is_refused(tmp_path, table_writer, capsys):
     assert "<!-- results -->" in capsys.readouterr().err
 
 
-def test_the_results_name_all_data_sets_of_the_commands(table_writer):
+def test_the_results_name_all_data_sets(table_writer):
+    results = README.partition("<!-- results -->")[2].partition("<!-- /results -->")[0]
     for name in table_writer.SETS:
-        assert len(re.findall(rf"\b{name}\b", README)) >= 2, name
+        assert re.search(rf"\b{name}\b", results), name

@@ -163,7 +163,12 @@ def test_the_pose_is_shifted_both_ways_by_the_slip_and_by_half_of_it(room, slip_
         np.testing.assert_allclose(shifts[::2], -shifts[1::2], atol=1e-9)
         for T, seen in slips:
             np.testing.assert_array_equal(T[:3, :3], T_ROOM[:3, :3])
-            assert seen.denied_ratio == pair.look(T).denied_ratio
+            whole = pair.look(T)
+            if decision.is_far_worse(seen, settled.evidence, pair.config.decision):  # few points were enough
+                assert decision.score(whole) < decision.score(settled.evidence)
+                assert seen.denied_ratio == pytest.approx(whole.denied_ratio, abs=0.06)
+            else:
+                assert seen.denied_ratio == whole.denied_ratio
 
 
 def test_a_pose_is_shifted_along_the_weakest_direction_and_along_whatever_else_is_weak(room):
