@@ -143,10 +143,15 @@ def _measure(scans: tuple[PreparedScan, PreparedScan], config: Config, candidate
 
 
 def slipped(pair: selection.Pair, T: Array) -> list[Array]:
-    """The shifted poses that `verify` looks at, by weak direction: far back, back, ahead, far ahead."""
-    directions = pair.contact(T).weak_directions(pair.config.decision.weak_constraint)
-    far = pair.config.decision.slip_m
-    return [shift(T, direction, d) for direction in directions for d in (-far, -0.5 * far, 0.5 * far, far)]
+    """The shifted poses that `verify` looks at, by weak direction: far back, back, ahead, far ahead.
+
+    Where no direction is weak, it looks at far ones only: they stand in the place of the near ones, too.
+    """
+    contact, config = pair.contact(T), pair.config.decision
+    directions = contact.weak_directions(config.weak_constraint)
+    far, num_weak = config.slip_m, len(contact.weak_directions(config.weak_constraint, at_least=0))
+    near = 0.5 * far if num_weak else far
+    return [shift(T, direction, d) for direction in directions for d in (-far, -near, near, far)]
 
 
 def _may_be_accepted(evidence: SightViewEvidence, config: DecisionConfig) -> bool:

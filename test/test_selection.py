@@ -173,7 +173,7 @@ def test_the_pose_is_shifted_both_ways_by_the_slip_and_by_half_of_it(room, slip_
 
 def test_a_pose_is_shifted_along_the_weakest_direction_and_along_whatever_else_is_weak(room):
     firmly, weakly = (settled_at(pair_of(room, decision__weak_constraint=c), T_ROOM) for c in (0.0, 1.0))
-    assert (len(firmly.far_slips), len(firmly.near_slips)) == (2, 2)
+    assert (len(firmly.far_slips), len(firmly.near_slips)) == (2, 0)
     assert len(weakly.far_slips) > 2
     for (T, _), (also, _) in zip(firmly.far_slips, weakly.far_slips, strict=False):
         assert_same_bits(T, also)

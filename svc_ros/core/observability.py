@@ -41,10 +41,10 @@ class SurfaceContact:
         """Main directions of the agreeing surfaces, (3, 3) unit by rows, the one that is resisted least first."""
         return self._resistance()[1]
 
-    def weak_directions(self, limit: float) -> Array:
-        """The weakest direction and every further one that resists less than `limit`, (D, 3)."""
+    def weak_directions(self, limit: float, at_least: int = 1) -> Array:
+        """The directions that resist less than `limit`, or the `at_least` weakest ones where those are more, (D, 3)."""
         strength, axes = self._resistance()
-        return np.asarray(axes[: max(1, int((strength < limit).sum()))])
+        return np.asarray(axes[: max(at_least, int((strength < limit).sum()))])
 
     def _resistance(self) -> tuple[Array, Array]:
         """Resistance (3,) ascending and unit directions (3, 3) by rows, each with its largest entry positive."""

@@ -226,8 +226,8 @@ def verify_svc(pair: Pair, T: Array) -> RegistrationResult:
 class Settled:
     """A refined pose with its evidence, and with that of the pose shifted where the surfaces hardly resist it.
 
-    far_slips: shifted both ways along every weak direction by the slip; near_slips: by half of it. Each is a pose and
-    what decides on it.
+    far_slips: shifted both ways by the slip along every weak direction, or the weakest; near_slips: by half of it along
+    weak ones only. Each is a pose and what decides on it.
     """
 
     T_target_source: Array
@@ -288,10 +288,12 @@ def _settle(pair: Pair, T: Array) -> Settled:
 
 def _with_slips(pair: Pair, T: Array, evidence: SightViewEvidence, contact: SurfaceContact) -> Settled:
     config = pair.config.decision
-    directions = contact.weak_directions(config.weak_constraint)
     far, near = (
         [shift(T, direction, sign * distance_m) for direction in directions for sign in (-1.0, 1.0)]
-        for distance_m in (config.slip_m, 0.5 * config.slip_m)
+        for directions, distance_m in (
+            (contact.weak_directions(config.weak_constraint), config.slip_m),
+            (contact.weak_directions(config.weak_constraint, at_least=0), 0.5 * config.slip_m),
+        )
     )
     slips = list(zip(far + near, pair.glance_at_slips(far + near, evidence), strict=True))
     return Settled(T, evidence, contact, slips[: len(far)], slips[len(far) :])
