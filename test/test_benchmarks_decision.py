@@ -250,7 +250,7 @@ def test_slips_are_measured_wherever_a_variant_may_accept():
 def test_slips_come_far_near_near_far_along_every_weak_direction():
     from _evidence import slipped
 
-    contact = SimpleNamespace(weak_directions=lambda limit: np.eye(3)[: 2 if limit == 0.13 else 3])
+    contact = SimpleNamespace(weak_directions=lambda limit, at_least=1: np.eye(3)[: 2 if limit == 0.13 else 3])
     pair = SimpleNamespace(config=CONFIGS["a"], contact=lambda T: contact)
     shifts = [T[:3, 3].tolist() for T in slipped(pair, np.eye(4))]
     along = [-2.4, -1.2, 1.2, 2.4]
