@@ -14,6 +14,7 @@ from svc_ros.core import decision, paper_rule, selection
 from svc_ros.core.config import Config, DecisionConfig
 from svc_ros.core.evidence import SeenSurface, SightLines, SightViewEvidence
 from svc_ros.core.observability import shift
+from svc_ros.core.pair import Pair
 from svc_ros.core.registration import prepare, verify
 from svc_ros.core.result import Verdict
 from svc_ros.core.scan import Array, PreparedScan
@@ -120,7 +121,7 @@ def measure_all(judged: Judged, number: int) -> list[Row]:
 
 
 def _measure(scans: tuple[PreparedScan, PreparedScan], config: Config, candidate: Candidate, reference: Array) -> Row:
-    pair = selection.Pair(*scans, config, {}, Stopwatch())
+    pair = Pair(*scans, config, {}, Stopwatch())
     given = candidate.T_target_source
     refined = pair.refine(given, config.shortlist.icp_last_points)
     seen: dict[str, Numbers] = {}
@@ -142,7 +143,7 @@ def _measure(scans: tuple[PreparedScan, PreparedScan], config: Config, candidate
     )  # fmt: skip
 
 
-def slipped(pair: selection.Pair, T: Array) -> list[Array]:
+def slipped(pair: Pair, T: Array) -> list[Array]:
     """The shifted poses that `verify` looks at, by weak direction: far back, back, ahead, far ahead.
 
     Where no direction is weak, it looks at far ones only: they stand in the place of the near ones, too.
@@ -161,7 +162,7 @@ def _may_be_accepted(evidence: SightViewEvidence, config: DecisionConfig) -> boo
     return any(decision.decide(e, loose).verdict is Verdict.ACCEPTED for e in (evidence, plain))
 
 
-def _contact(pair: selection.Pair, T: Array, reference: Array) -> Contact:
+def _contact(pair: Pair, T: Array, reference: Array) -> Contact:
     contact = pair.contact(T)
     return Contact(contact.information, contact.variance_m2, pose_difference(T, reference))
 

@@ -12,6 +12,7 @@ from svc_ros.core import decision, paper_rule, se3, selection, shortlist
 from svc_ros.core.config import METHODS, preset, with_values
 from svc_ros.core.hypotheses import generate_hypotheses
 from svc_ros.core.matching import match
+from svc_ros.core.pair import Pair
 from svc_ros.core.registration import extract_features, register, verify
 from svc_ros.core.result import Reason, Verdict
 from svc_ros.core.stopwatch import Stopwatch
@@ -124,12 +125,12 @@ def test_the_default_refines_what_it_is_given(room):
 # The default's parts
 
 
-def pair_of(room, **values: object) -> selection.Pair:
+def pair_of(room, **values: object) -> Pair:
     source, target = (features.prepared for features in room)
-    return selection.Pair(source, target, room_config(**values), {}, Stopwatch())
+    return Pair(source, target, room_config(**values), {}, Stopwatch())
 
 
-def settled_at(pair: selection.Pair, T: np.ndarray) -> selection.Settled:
+def settled_at(pair: Pair, T: np.ndarray) -> selection.Settled:
     return selection._with_slips(pair, T, *pair.look_and_touch(T))
 
 

@@ -9,12 +9,12 @@ from svc_ros.core.config import Config
 from svc_ros.core.features import compute_features
 from svc_ros.core.hypotheses import generate_hypotheses, pool_hypotheses
 from svc_ros.core.matching import match
+from svc_ros.core.pair import Pair
 from svc_ros.core.parallel import on_all_processors
 from svc_ros.core.preprocess import preprocess
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Correspondences, Features, PreparedScan, Scan
 from svc_ros.core.se3 import check_pose, nearest_pose
-from svc_ros.core.selection import Pair
 from svc_ros.core.stopwatch import Stopwatch
 
 

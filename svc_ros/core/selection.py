@@ -7,108 +7,25 @@ the default, every distinct hypothesis refined, looked at along the sight lines 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from svc_ros.core import decision, icp, paper_rule, shortlist
-from svc_ros.core.config import Config
 from svc_ros.core.evidence import SightViewEvidence
-from svc_ros.core.observability import SurfaceContact, find_contact, shift
+from svc_ros.core.observability import SurfaceContact, shift
+from svc_ros.core.pair import Pair
 from svc_ros.core.parallel import on_all_processors
 from svc_ros.core.placement import place
 from svc_ros.core.prescore import thinned_scan
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
-from svc_ros.core.scan import Array, Correspondences, HypothesisSet, PreparedScan
+from svc_ros.core.scan import Array, Correspondences, HypothesisSet
 from svc_ros.core.se3 import half_turn, pose_error
-from svc_ros.core.sight_view import gather_evidence, glance, index, look_both_ways
-from svc_ros.core.stopwatch import Stopwatch
+from svc_ros.core.sight_view import glance, index
 
-_GLIMPSE_POINTS = 1500
 _NOTHING_MUCH = 0.025  # denied share up to which an accepted pose is not held against its half turns
 _HOPELESS = float(np.log(8.0))  # a pose that promises less by this can neither win nor cast doubt on the winner
-
-
-@dataclass(frozen=True, eq=False)
-class Pair:
-    """Two prepared scans on their way to a verdict, with what was counted and timed so far."""
-
-    source: PreparedScan
-    target: PreparedScan
-    config: Config
-    counts: dict[str, int]
-    watch: Stopwatch
-
-    def without_wide_search(self) -> Pair:
-        """The same pair, counts and times, for a first try: nothing is searched if none of its poses is accepted."""
-        few = dataclasses.replace(self.config.shortlist, rough_poses=0)
-        return dataclasses.replace(self, config=dataclasses.replace(self.config, shortlist=few))
-
-    def look(self, T: Array) -> SightViewEvidence:
-        """The evidence of one pose."""
-        with self.watch.stage("sight_view"):
-            return gather_evidence(self.source, self.target, T, self.config.sight_view)
-
-    def look_and_touch(self, T: Array) -> tuple[SightViewEvidence, SurfaceContact]:
-        """The evidence of one pose, and the agreeing surface under it."""
-        view = self.config.sight_view
-        with self.watch.stage("sight_view"):
-            evidence, in_target = look_both_ways(self.source, self.target, T, view)
-        with self.watch.stage("observability"):
-            return evidence, find_contact(self.target, in_target, view)
-
-    def glance_at_all(self, poses: Sequence[Array]) -> list[SightViewEvidence]:
-        """What decides on each pose, on all processors; blocked lines are not looked for."""
-        view = self.config.sight_view
-        with self.watch.stage("sight_view"):
-            index((self.source, self.target), view)
-            return on_all_processors(lambda T: glance(self.source, self.target, T, view), poses)
-
-    def glance_at_slips(self, slips: Sequence[Array], evidence: SightViewEvidence) -> list[SightViewEvidence]:
-        """The same of slips of a pose with that evidence; with few points where they tell enough against a slip."""
-        view, decides = self.config.sight_view, self.config.decision
-
-        def look(T: Array) -> SightViewEvidence:
-            few = glance(self.source, self.target, T, view, _GLIMPSE_POINTS)
-            hopeless = decision.is_far_worse(few, evidence, decides)
-            return few if hopeless else glance(self.source, self.target, T, view)
-
-        with self.watch.stage("sight_view"):
-            for scan in (self.source, self.target):
-                thinned_scan(scan, _GLIMPSE_POINTS)
-            index((self.source, self.target), view)
-            return on_all_processors(look, slips)
-
-    def promise(self, evidence: SightViewEvidence) -> float:
-        """What poses are ranked by: the smallest margin that the decision will look at."""
-        return decision.measure_margins(evidence, self.config.decision).smallest
-
-    def refine(self, T: Array, num_points: int) -> Array:
-        """One pose after ICP with about that many points."""
-        with self.watch.stage("refinement"):
-            return icp.refine_by_icp(T, self.source, self.target, self.config, num_points)
-
-    def contact(self, T: Array) -> SurfaceContact:
-        """The agreeing surface under one pose."""
-        view = self.config.sight_view
-        with self.watch.stage("observability"):
-            return find_contact(self.target, place(self.target, self.source, T, view), view)
-
-    def answer(
-        self,
-        T: Array,
-        evidence: SightViewEvidence | None,
-        decided: decision.Decision,
-        contact: SurfaceContact | None = None,
-    ) -> RegistrationResult:
-        """The result for the pose T; it is the transform exactly if the verdict is ACCEPTED."""
-        accepted = decided.verdict is Verdict.ACCEPTED
-        covariance = (contact or self.contact(T)).covariance(self.config.covariance) if accepted else None
-        return RegistrationResult(
-            decided.verdict, decided.reason, self.config.method, T if accepted else None, T,
-            covariance, decided.probability, evidence, self.counts, self.watch.times(), decided.detail,
-        )  # fmt: skip
 
 
 def choose_sc2(pair: Pair, correspondences: Correspondences, hypotheses: HypothesisSet) -> RegistrationResult:
