@@ -59,9 +59,10 @@ def around(row: int, col: int, columns: np.ndarray, starts: np.ndarray) -> list[
 
 def spread(
     near: np.ndarray, far: np.ndarray, columns: np.ndarray, starts: np.ndarray, least_held: int
-) -> tuple[np.ndarray, np.ndarray, int, int]:
-    """Least and greatest range around every cell, -1 where too few hold a point or a row has none; held and dense."""
-    wide_near, wide_far, num_held, num_dense = np.full_like(near, -1), np.full_like(far, -1), 0, 0
+) -> tuple[np.ndarray, np.ndarray, int, int, int]:
+    """Least and greatest range around every cell, -1 where too few hold a point or a row has none; how many of the
+    cells with a point there are, have enough others, are not -1."""
+    wide_near, wide_far, num_held, num_dense, num_seen = np.full_like(near, -1), np.full_like(far, -1), 0, 0, 0
     for row, num in enumerate(columns):
         for col in range(num):
             cell, rows = int(starts[row]) + col, around(row, col, columns, starts)
@@ -71,7 +72,8 @@ def spread(
             num_held, num_dense = num_held + (far[cell] > 0), num_dense + (dense and far[cell] > 0)
             if dense and len(rows) == 3 and all(held):
                 wide_near[cell], wide_far[cell] = near[all_held].min(), far[all_held].max()
-    return wide_near, wide_far, int(num_held), int(num_dense)
+                num_seen += far[cell] > 0
+    return wide_near, wide_far, int(num_held), int(num_dense), int(num_seen)
 
 
 def look(

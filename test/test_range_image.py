@@ -9,6 +9,7 @@ from assertions import assert_same_bits
 from image_cases import CASES, MIN_RANGE, cells_of, directions_of, raster, seen
 
 from svc_ros.core import range_image_kernels
+from svc_ros.core.preprocess import estimate_beam_spacing_deg
 from svc_ros.core.range_image import _LEAST_HELD, RangeImage, _build, _tables, build_range_image
 
 ORIGIN = np.zeros(3)
@@ -71,8 +72,8 @@ def check_spread(near, far, columns, starts, least_held) -> None:
     counts = range_image_kernels.spread(
         near, far, columns.astype(np.int32), starts.astype(np.int32), least_held, *wide
     )  # fmt: skip
-    *expected, num_held, num_dense = reference.spread(near, far, columns, starts, least_held)
-    assert counts == (num_held, num_dense)
+    *expected, num_held, num_dense, num_seen = reference.spread(near, far, columns, starts, least_held)
+    assert counts == (num_held, num_dense, num_seen)
     assert_same_bits(wide[0], expected[0])
     assert_same_bits(wide[1], expected[1])
 
@@ -92,12 +93,12 @@ def test_images_of_few_rows_spread(num_rows):
 # Images
 
 
-def whole_twin(points: np.ndarray, size_deg: tuple[float, float]) -> tuple[np.ndarray, np.ndarray, float]:
-    """Least and greatest range of every cell of the sphere, and the dense share of those with a point."""
+def whole_twin(points: np.ndarray, size_deg: tuple[float, float]) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """Least and greatest range of every cell of the sphere; the dense and the seen share of those with a point."""
     columns, starts = reference.layout(size_deg)
     near, far = reference.fill(*cells_of(seen(points), _tables(size_deg)), columns.sum())
-    wide_near, wide_far, num_held, num_dense = reference.spread(near, far, columns, starts, _LEAST_HELD)
-    return wide_near, wide_far, num_dense / max(num_held, 1)
+    wide_near, wide_far, num_held, *nums = reference.spread(near, far, columns, starts, _LEAST_HELD)
+    return wide_near, wide_far, *(num / max(num_held, 1) for num in nums)
 
 
 def looked_up(image: RangeImage, directions: np.ndarray) -> np.ndarray:
@@ -110,12 +111,12 @@ def looked_up(image: RangeImage, directions: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("case", [name for name in CASES if name != "beyond_float32"])
 def test_an_image_of_the_used_rows_says_what_one_of_the_whole_sphere_says(case, size_deg):
     image = _build(CASES[case], ORIGIN, MIN_RANGE, size_deg)
-    near, far, dense_ratio = whole_twin(CASES[case], size_deg)
+    near, far, *shares = whole_twin(CASES[case], size_deg)
     rng = np.random.default_rng(0)
     directions = np.vstack([rng.normal(size=(3000, 3)), seen(CASES[case])[:3000], CASES["axes"]])
-    whole = RangeImage(near, far, _tables(size_deg), size_deg, dense_ratio)
+    whole = RangeImage(near, far, _tables(size_deg), size_deg, *shares)
     np.testing.assert_array_equal(looked_up(image, directions), looked_up(whole, directions))
-    assert image.dense_ratio == dense_ratio
+    assert [image.dense_ratio, image.seen_ratio] == shares
     assert (image.near > 0).sum() == (near > 0).sum()
 
 
@@ -138,6 +139,17 @@ def test_too_little_to_know_anything(case):
     image = build_range_image(CASES[case], ORIGIN, MIN_RANGE, 0.5)
     assert (image.far == -1).all()
     assert (looked_up(image, np.random.default_rng(0).normal(size=(500, 3))) == -1).all()
+
+
+def test_rings_that_jitter_are_looked_at_all_the_same():
+    """Their beam spacing looks much smaller than it is: cells grow until rows above and below hold returns."""
+    rng = np.random.default_rng(5)
+    azimuth, elevation = np.meshgrid(np.arange(0.0, 360.0, 0.5), np.linspace(-40.0, 40.0, 40))
+    azimuth, elevation = (np.repeat(a.ravel(), 10) for a in (azimuth, elevation))
+    points = 8.0 * directions_of(azimuth, elevation) + rng.normal(0.0, 0.01, (len(azimuth), 3))
+    image = build_range_image(points, np.zeros(3), MIN_RANGE, estimate_beam_spacing_deg(points, np.zeros(3)))
+    assert image.seen_ratio > 0.6
+    assert image.size_deg[0] > 1.0
 
 
 def test_the_order_of_the_points_does_not_matter():

@@ -23,7 +23,9 @@ _RISE_STEPS, _TURN_STEPS = 8192, 2048  # a few hundredths of a degree at most
 _LEAST_HELD = 4  # of nine cells: with fewer the sensor has hardly looked there
 _SMALLEST_DEG, _LARGEST_DEG = 0.4, 2.5
 _BEAMS = 1.05  # cells are a little higher than beams are apart, so that none falls between two of them
-_ENOUGH = 0.9  # of the cells with a point lie among others with points; else cells are too small for the pattern
+# Of the cells with a point so many have others around them, and so many are seen; else cells are too small for the
+# pattern. (At the upper and the lower border of the view nothing is seen: of 16 beams that is an eighth.)
+_ENOUGH_DENSE, _ENOUGH_SEEN = 0.9, 0.6
 _LARGER = 1.5
 
 
@@ -34,7 +36,8 @@ class RangeImage:
     near, far: (C,) float32 [m], both -1 where the sensor did not look (fewer than four of the nine cells hold a point);
     tables: rows by the rise of a direction, turns by the quadrant's share, number of cells and first cell of every
     row: rows have fewer cells the nearer they are to a pole, so that all are about as wide; size_deg: height and width
-    of a cell; dense_ratio: share of the cells with a point that are not -1.
+    of a cell; dense_ratio, seen_ratio: of the cells with a point, those with four held ones among the nine, and those
+    that are not -1.
     """
 
     near: NDArray[np.float32]
@@ -42,24 +45,30 @@ class RangeImage:
     tables: Tables
     size_deg: Size
     dense_ratio: float
+    seen_ratio: float
 
 
 def build_range_image(points: Array, origin: Array, min_range_m: float, beam_spacing_deg: float) -> RangeImage:
     """The image of raw points (N, 3) [m] around the sensor at origin (3,); nearer ones (the carrier) do not count.
 
     Cells are as high as beams are apart, and larger where the pattern is sparser than that: a wider or a higher one,
-    whichever helps more, until most points have others around them.
+    whichever helps more, until most points have others around them; then higher ones, until they have some above and
+    below, as rings that jitter seem nearer to each other than they are.
     """
     height = min(max(_BEAMS * beam_spacing_deg, _SMALLEST_DEG), _LARGEST_DEG)
     image = _build(points, origin, min_range_m, (height, _SMALLEST_DEG))
-    while image.dense_ratio < _ENOUGH and min(image.size_deg) < _LARGEST_DEG:
-        height, width = image.size_deg
-        larger = ((height, min(_LARGER * width, _LARGEST_DEG)), (min(_LARGER * height, _LARGEST_DEG), width))
-        image = max(
-            (_build(points, origin, min_range_m, size) for size in larger if size != image.size_deg),
-            key=lambda tried: tried.dense_ratio,
-        )
+    while image.dense_ratio < _ENOUGH_DENSE and min(image.size_deg) < _LARGEST_DEG:
+        larger = (size for size in _larger(image.size_deg) if size != image.size_deg)
+        image = max((_build(points, origin, min_range_m, size) for size in larger), key=lambda tried: tried.dense_ratio)
+    while image.seen_ratio < _ENOUGH_SEEN and image.size_deg[0] < _LARGEST_DEG:
+        image = _build(points, origin, min_range_m, _larger(image.size_deg)[1])
     return image
+
+
+def _larger(size_deg: Size) -> tuple[Size, Size]:
+    """Cells that are wider, and cells that are higher."""
+    height, width = size_deg
+    return (height, min(_LARGER * width, _LARGEST_DEG)), (min(_LARGER * height, _LARGEST_DEG), width)
 
 
 def _build(points: Array, origin: Array, min_range_m: float, size_deg: Size) -> RangeImage:
@@ -70,8 +79,11 @@ def _build(points: Array, origin: Array, min_range_m: float, size_deg: Size) -> 
     tables, cells = _used_rows(tables, far)
     near, far = near[cells], far[cells]
     wide_near, wide_far = np.empty_like(near), np.empty_like(far)
-    num_held, num_dense = range_image_kernels.spread(near, far, *tables[2:], _LEAST_HELD, wide_near, wide_far)
-    return RangeImage(wide_near, wide_far, tables, size_deg, num_dense / max(num_held, 1))
+    num_held, num_dense, num_seen = range_image_kernels.spread(
+        near, far, *tables[2:], _LEAST_HELD, wide_near, wide_far
+    )  # fmt: skip
+    shares = num_dense / max(num_held, 1), num_seen / max(num_held, 1)
+    return RangeImage(wide_near, wide_far, tables, size_deg, *shares)
 
 
 @lru_cache(maxsize=32)

@@ -54,9 +54,9 @@ def spread(near, far, columns, starts, least_held, wide_near, wide_far):  # type
 
     Both -1 where fewer than `least_held` of the nine hold a point, or none of the row above or below: a beam that was
     lost there may have met what now seems free. Columns go around; rows end at the image's border. Returns how many
-    cells hold a point, and how many of those have enough others around them.
+    cells hold a point, how many of those have enough others around them, and how many are not -1.
     """
-    num_rows, size, num_held, num_dense = columns.shape[0], near.shape[0], 0, 0
+    num_rows, size, num_held, num_dense, num_seen = columns.shape[0], near.shape[0], 0, 0, 0
     row_near, row_far, row_held = np.empty(size, near.dtype), np.empty(size, near.dtype), np.empty(size, np.int8)
     for row in range(num_rows):
         begin, num = starts[row], columns[row]
@@ -76,10 +76,11 @@ def spread(near, far, columns, starts, least_held, wide_near, wide_far):  # type
                     low, high, held = min(low, row_near[k]), max(high, row_far[k]), held + row_held[k]
                     rows_held += row_held[k] > 0
             dense = held >= least_held
-            wide_near[mid], wide_far[mid] = (low, high) if dense and rows_held == 3 else (-1.0, -1.0)
+            seen = dense and rows_held == 3
+            wide_near[mid], wide_far[mid] = (low, high) if seen else (-1.0, -1.0)
             if far[mid] > 0.0:
-                num_held, num_dense = num_held + 1, num_dense + int(dense)
-    return num_held, num_dense
+                num_held, num_dense, num_seen = num_held + 1, num_dense + int(dense), num_seen + int(seen)
+    return num_held, num_dense, num_seen
 
 
 @_jit
