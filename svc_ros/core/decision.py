@@ -51,8 +51,7 @@ class Margins:
 
 def score(evidence: SightViewEvidence) -> float:
     """How good a refined pose looks: what overlaps on the same side, less what is denied."""
-    seen = (evidence.source_surface, evidence.target_surface)
-    denied = sum(surface.num_denied / max(surface.num_points, 1) for surface in seen)
+    denied = sum(surface.num_denied / max(surface.num_points, 1) for surface in evidence.surfaces)
     return evidence.oriented_overlap_ratio - _DENIED_WEIGHT * denied
 
 
@@ -76,7 +75,7 @@ def _other_margins(evidence: SightViewEvidence, config: DecisionConfig) -> tuple
 
 def describe(evidence: SightViewEvidence) -> tuple[float, float, float]:
     """What is weighed: logarithms of the denied share, of the same by clusters, and of the weakest constraint."""
-    seen = (evidence.source_surface, evidence.target_surface)
+    seen = evidence.surfaces
     confirmed = sum(surface.num_confirmed for surface in seen)
 
     def share(denied: float) -> float:
@@ -125,7 +124,7 @@ def decide(evidence: SightViewEvidence, config: DecisionConfig) -> Decision:
 
 def _is_denied(evidence: SightViewEvidence, config: DecisionConfig) -> bool:
     """Whether more is denied than of a pose that is held firmly: then no structure would make it right."""
-    if not any(s.num_confirmed or s.num_denied for s in (evidence.source_surface, evidence.target_surface)):
+    if not any(s.num_confirmed or s.num_denied for s in evidence.surfaces):
         return False  # nothing was seen, either way
     denied, wide, structure = describe(evidence)
     return _weigh((denied, wide, max(structure, math.log(config.firm_structure + _LEAST_STRUCTURE))), config) <= 0.0

@@ -115,17 +115,22 @@ class SightViewEvidence:
     target_surface: SeenSurface = field(default_factory=no_surface)
 
     @property
+    def surfaces(self) -> tuple[SeenSurface, SeenSurface]:
+        """That of the source and that of the target."""
+        return self.source_surface, self.target_surface
+
+    @property
     def denied_ratio(self) -> float:
         """Denied share of all surface that either sensor could see, both ways together, in [0, 1]."""
-        return self._share(self.source_surface.num_denied + self.target_surface.num_denied)
+        return self._share(sum(surface.num_denied for surface in self.surfaces))
 
     @property
     def wide_denied_ratio(self) -> float:
         """The same, clusters of denied surface counting by the angle over which they are seen."""
-        return self._share(self.source_surface.wide_denied + self.target_surface.wide_denied)
+        return self._share(sum(surface.wide_denied for surface in self.surfaces))
 
     def _share(self, denied: float) -> float:
-        confirmed = self.source_surface.num_confirmed + self.target_surface.num_confirmed
+        confirmed = sum(surface.num_confirmed for surface in self.surfaces)
         return denied / max(denied + confirmed, 1.0)
 
     def numbers(self) -> dict[str, float | int]:

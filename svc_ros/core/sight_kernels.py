@@ -36,7 +36,7 @@ def place_alone(T, points, nearest, origin, begin, names, x, y, z):  # type: ign
 
 @_jit
 def judge_hits(num_hits, hits, batch, T, normals, limits, grid, found):  # type: ignore[no-untyped-def]
-    """Note which lines are observed and which are blocked, of those that pass a point closely; how many more are.
+    """Note which lines are observed and which are blocked, of those that pass a point closely.
 
     hits: points of the batch and places of lines in the grid; the rest as in find_blockers.
     """
@@ -45,7 +45,6 @@ def judge_hits(num_hits, hits, batch, T, normals, limits, grid, found):  # type:
     tolerance, max_tangent = limits[0], limits[3]
     lines, surfaces, order = grid[0], grid[1], grid[2]
     blocker, blocker_range, observed = found
-    num_blocked = 0
     for h in range(num_hits):
         k, i = of_point[h], of_line[h]
         observed[i] = True
@@ -63,15 +62,13 @@ def judge_hits(num_hits, hits, batch, T, normals, limits, grid, found):  # type:
         if abs(turned_dot(T, normals[names[k]], dx, dy, dz)) <= tolerance:
             continue
         name = order[i]
-        num_blocked += blocker[name] < 0
         if blocker[name] < 0 or p_range < blocker_range[name]:
             blocker[name], blocker_range[name] = names[k], p_range
-    return num_blocked
 
 
 @_jit
 def find_blockers(T, points, normals, nearest, origin, limits, grid, found):  # type: ignore[no-untyped-def]
-    """Find the sight lines that end behind a point of the other scan; return how many.
+    """Find the sight lines that end behind a point of the other scan.
 
     T (4, 4): the other scan's pose in the observer's frame; points, normals (M, 3): its own; nearest (M,): below zero
     where a point lies on nothing of the observer's surface: only such points block; origin (3,): the sensor;
@@ -89,7 +86,7 @@ def find_blockers(T, points, normals, nearest, origin, limits, grid, found):  # 
     bounds, sizes = np.empty((4, _AT_ONCE), np.int32), np.empty((3, _AT_ONCE))
     of_point, of_line = np.empty(_HITS + 1, np.uint32), np.empty(_HITS + 1, np.uint32)
     hits, batch = (of_point, of_line), (names, x, y, z, sizes)
-    num_blocked, next_point = 0, 0
+    next_point = 0
     while next_point < nearest.shape[0]:
         num, next_point = place_alone(T, points, nearest, origin, next_point, names, x, y, z)
         fill_bounds(x[:num], y[:num], z[:num], radius, max_sine, float(rows), float(columns), bounds, sizes)
@@ -106,10 +103,9 @@ def find_blockers(T, points, normals, nearest, origin, limits, grid, found):  # 
                     of_point[num_hits], of_line[num_hits] = k, i
                     num_hits += (dot > 0.0) & (sq_p - dot * dot / (q_range * q_range) <= sq_limit)
                     if num_hits == _HITS:
-                        num_blocked += judge_hits(num_hits, hits, batch, T, normals, limits, grid, found)
+                        judge_hits(num_hits, hits, batch, T, normals, limits, grid, found)
                         num_hits = 0
-        num_blocked += judge_hits(num_hits, hits, batch, T, normals, limits, grid, found)
-    return num_blocked
+        judge_hits(num_hits, hits, batch, T, normals, limits, grid, found)
 
 
 @_jit
