@@ -77,6 +77,7 @@ class HypothesisConfig(Group):
     second_consensus: int = value(20, "size of the second consensus set (k2)", "", 3, 64)
     power_iterations: int = value(20, "rounds of the power iteration", "", 1, 1000)
     ranking: str = value("ic", "metric that ranks hypotheses", choices=("ic", "mae", "mse"))
+    levelled_poses: int = value(24, "turns and shifts on the ground, tried where both scans see it", "", 0, 1000)
     gravity_aligned: bool = value(False, "z is up in both scans: poses that tilt it more than max_tilt_deg are dropped")
     max_tilt_deg: float = value(10.0, "largest tilt of a hypothesis, if gravity_aligned", "deg", 0.0, 180.0)
 

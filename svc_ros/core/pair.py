@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from svc_ros.core import decision, icp
-from svc_ros.core.config import Config
+from svc_ros.core.config import Config, HypothesisConfig
 from svc_ros.core.evidence import SightViewEvidence
 from svc_ros.core.observability import SurfaceContact, find_contact
 from svc_ros.core.parallel import on_all_processors
 from svc_ros.core.placement import place
 from svc_ros.core.prescore import thinned_scan
-from svc_ros.core.result import RegistrationResult, Verdict
-from svc_ros.core.scan import Array, PreparedScan
+from svc_ros.core.result import Reason, RegistrationResult, Verdict
+from svc_ros.core.scan import NO_HYPOTHESES, Array, Correspondences, HypothesisSet, PreparedScan
 from svc_ros.core.sight_view import gather_evidence, glance, index, look_both_ways
 from svc_ros.core.stopwatch import Stopwatch
 
@@ -31,10 +30,17 @@ class Pair:
     counts: dict[str, int]
     watch: Stopwatch
 
-    def without_wide_search(self) -> Pair:
-        """The same pair, counts and times, for a first try: nothing is searched if none of its poses is accepted."""
-        few = dataclasses.replace(self.config.shortlist, rough_poses=0)
-        return dataclasses.replace(self, config=dataclasses.replace(self.config, shortlist=few))
+    def hypotheses(
+        self,
+        correspondences: Correspondences,
+        generate: Callable[[Correspondences, HypothesisConfig], HypothesisSet],
+    ) -> HypothesisSet:
+        """Poses that many correspondences agree on; none where there are too few correspondences."""
+        with self.watch.stage("hypotheses"):
+            enough = len(correspondences) >= self.config.matching.min_correspondences
+            found = generate(correspondences, self.config.hypotheses) if enough else NO_HYPOTHESES
+        self.counts.update(correspondences=len(correspondences), hypotheses=len(found))
+        return found
 
     def look(self, T: Array) -> SightViewEvidence:
         """The evidence of one pose."""
@@ -85,6 +91,19 @@ class Pair:
         view = self.config.sight_view
         with self.watch.stage("observability"):
             return find_contact(self.target, place(self.target, self.source, T, view), view)
+
+    def unanswered(self, num_correspondences: int) -> RegistrationResult:
+        """The result where so many correspondences led to no pose."""
+        least = self.config.matching.min_correspondences
+        if num_correspondences < least:
+            reason = Reason.TOO_FEW_CORRESPONDENCES
+            detail = f"{num_correspondences} correspondences, at least {least} are needed"
+        else:
+            reason, detail = Reason.NO_HYPOTHESIS, "no consistent set of correspondences"
+        return RegistrationResult(
+            Verdict.REJECTED, reason, self.config.method, probability=0.0, counts=self.counts,
+            time_ms=self.watch.times(), detail=detail,
+        )  # fmt: skip
 
     def answer(
         self,

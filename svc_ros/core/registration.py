@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
-from svc_ros.core import selection
 from svc_ros.core.config import Config
 from svc_ros.core.features import compute_features
-from svc_ros.core.hypotheses import generate_hypotheses, pool_hypotheses
-from svc_ros.core.matching import match
+from svc_ros.core.matcher import Described, Given, Matcher
+from svc_ros.core.methods import METHODS, VERIFIERS
 from svc_ros.core.pair import Pair
 from svc_ros.core.parallel import on_all_processors
 from svc_ros.core.preprocess import preprocess
-from svc_ros.core.result import Reason, RegistrationResult, Verdict
+from svc_ros.core.result import RegistrationResult
 from svc_ros.core.scan import Correspondences, Features, PreparedScan, Scan
 from svc_ros.core.se3 import check_pose, nearest_pose
 from svc_ros.core.stopwatch import Stopwatch
@@ -38,35 +37,10 @@ def register(
     an InputError (TooFewPointsError for a scan without enough points).
     """
     pair = _prepared_pair(source, target, config)
-    if correspondences is not None:
-        return _answer(pair, correspondences)
-    # Describe every point.
-    with pair.watch.stage("features"):
-        described = _described(source, pair.source, config), _described(target, pair.target, config)
-    # Match the descriptors; a part of many is enough for most pairs, and all are matched where it is not.
-    if config.method == "svc" and 0 < config.matching.first_points < max(map(len, described)):
-        result = _answer(pair.without_wide_search(), _matched(pair, described, config.matching.first_points))
-        if result.accepted:
-            return result
-    return _answer(pair, _matched(pair, described))
-
-
-def _answer(pair: Pair, correspondences: Correspondences) -> RegistrationResult:
-    """The verdict that correspondences lead to."""
-    config, counts = pair.config, pair.counts
-    counts["correspondences"] = len(correspondences)
-    if len(correspondences) < config.matching.min_correspondences:
-        detail = f"{len(correspondences)} correspondences, at least {config.matching.min_correspondences} are needed"
-        return _unanswered(Reason.TOO_FEW_CORRESPONDENCES, detail, pair)
-    # Poses that many correspondences agree on.
-    generate = pool_hypotheses if config.shortlist.rough_poses and config.method == "svc" else generate_hypotheses
-    with pair.watch.stage("hypotheses"):
-        hypotheses = generate(correspondences, config.hypotheses)
-    counts["hypotheses"] = len(hypotheses)
-    if len(hypotheses) == 0:
-        return _unanswered(Reason.NO_HYPOTHESIS, "no consistent set of correspondences", pair)
-    # Choose one of them and judge it, each method in its own way.
-    return selection.METHODS[config.method](pair, correspondences, hypotheses)
+    # Match descriptors: those of every point, or what was matched elsewhere.
+    matcher = _matcher(pair, source, target, correspondences)
+    # Look for the pose and judge it, each method in its own way; the default one looks up to three times.
+    return METHODS[config.method](pair, matcher)
 
 
 def verify(
@@ -77,7 +51,7 @@ def verify(
 ) -> RegistrationResult:
     """Judge a pose that somebody else found. It is refined first, within bounds; raises InputError if it is no pose."""
     T = nearest_pose(check_pose(T_target_source))
-    return selection.VERIFIERS[config.method](_prepared_pair(source, target, config), T)
+    return VERIFIERS[config.method](_prepared_pair(source, target, config), T)
 
 
 def _prepared_pair(
@@ -100,17 +74,10 @@ def _prepared(scan: Scan | PreparedScan | Features, config: Config) -> PreparedS
     return prepare(scan, config) if isinstance(scan, Scan) else scan
 
 
-def _described(given: Scan | Features, prepared: PreparedScan, config: Config) -> Features:
-    return given if isinstance(given, Features) else compute_features(prepared, config)
-
-
-def _matched(pair: Pair, described: tuple[Features, Features], num_points: int | None = None) -> Correspondences:
-    with pair.watch.stage("matching"):
-        return match(*described, pair.config.matching, num_points)
-
-
-def _unanswered(reason: Reason, detail: str, pair: Pair) -> RegistrationResult:
-    return RegistrationResult(
-        Verdict.REJECTED, reason, pair.config.method, probability=0.0, counts=pair.counts, time_ms=pair.watch.times(),
-        detail=detail,
-    )  # fmt: skip
+def _matcher(
+    pair: Pair, source: Scan | Features, target: Scan | Features, correspondences: Correspondences | None
+) -> Matcher:
+    if correspondences is not None:
+        return Given(correspondences)
+    known = [features if isinstance(features, Features) else None for features in (source, target)]
+    return Described(pair, (known[0], known[1]))

@@ -188,3 +188,6 @@ class HypothesisSet:
 
     def __len__(self) -> int:
         return len(self.T_target_source)
+
+
+NO_HYPOTHESES = HypothesisSet(np.zeros((0, 4, 4)), np.zeros(0, np.int64), np.zeros(0))

@@ -61,6 +61,14 @@ def rotation_angle_deg(R: ArrayLike) -> Array:
     return np.asarray(np.degrees(np.arctan2(sine, cosine)))
 
 
+def turn_onto(direction: ArrayLike, onto: ArrayLike) -> Array:
+    """The rotation (3, 3) by the smallest angle that turns one unit vector onto another, less than 180 deg away."""
+    a, b = np.asarray(direction, np.float64), np.asarray(onto, np.float64)
+    x, y, z = np.cross(a, b)
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + K + K @ K / (1.0 + a @ b))
+
+
 def pose_error(T_estimate: ArrayLike, T_reference: ArrayLike) -> tuple[float, float]:
     """Rotation error [deg] and translation error [m] of an estimate (paper: RE and TE)."""
     A, B = np.asarray(T_estimate, np.float64).tolist(), np.asarray(T_reference, np.float64).tolist()

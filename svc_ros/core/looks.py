@@ -1,0 +1,127 @@
+"""The default method's search: three looks, each dearer than the one before, until one finds a pose that is accepted.
+
+First the poses that matches of a part of the points agree on. Then, where both scans see the ground, every turn about
+the vertical and every shift; if neither look leads to a pose that promises anything, the scans show different places.
+Last the matches of all points, and many more of their poses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from svc_ros.core import shortlist
+from svc_ros.core.hypotheses import generate_hypotheses, pool_hypotheses
+from svc_ros.core.levelled_poses import find_levelled_poses, stand_level
+from svc_ros.core.matcher import Matcher
+from svc_ros.core.pair import Pair
+from svc_ros.core.result import RegistrationResult
+from svc_ros.core.scan import Array, Correspondences, HypothesisSet
+from svc_ros.core.selection import choose_best, look_roughly
+
+_HOPELESS = float(np.log(8.0))  # a pose that promises less by this can neither win nor cast doubt on the winner
+_PROMISING = -6.0  # log odds after a rough look; no right pose between level scans was seen to promise less
+_LAST_TRIES = 2  # poses that are looked at closely even so, before scans are told to show different places
+
+
+@dataclass(frozen=True, eq=False)
+class RoughPoses:
+    """Poses (S, 4, 4) after a rough look, and the log odds (S,) that they promise; best first."""
+
+    T_target_source: Array
+    promise: Array
+
+    def __len__(self) -> int:
+        return len(self.promise)
+
+    @property
+    def promising(self) -> bool:
+        """Whether one of them may be right, as far as few points tell."""
+        return len(self) > 0 and bool(self.promise[0] > _PROMISING)
+
+    def contenders(self) -> Array:
+        """Those (S, 4, 4) that may win, or cast doubt on the winner."""
+        return self.T_target_source[self.promise > self.promise[0] - _HOPELESS]
+
+
+def find_pose(pair: Pair, matcher: Matcher) -> RegistrationResult:
+    """Look, up to three times, until a pose is accepted; else the best of all that was seen, judged."""
+    levelled = pair.config.hypotheses.levelled_poses
+    level = levelled > 0 and not matcher.alone and stand_level(pair.source, pair.target)
+    # First look: what a part of the points agrees on; that is enough for most pairs.
+    seen = _look_at_few(pair, matcher)
+    if seen.promising or (len(seen) and not level):
+        result = choose_best(pair, seen.contenders())
+        if result.accepted:
+            return result
+    # Second look: every turn and shift on the ground. If nothing is seen now, there is nothing to be seen.
+    if level:
+        seen = _join(pair, seen, _look_at_levelled(pair))
+        result = choose_best(pair, seen.contenders() if seen.promising else seen.T_target_source[:_LAST_TRIES])
+        if result.accepted or not seen.promising:
+            return result
+    # Last look: the matches of all points, thresholds further apart, many more poses.
+    correspondences = matcher.all()
+    seen = _join(pair, seen, _look_at_all(pair, correspondences))
+    if len(seen) == 0:
+        return pair.unanswered(len(correspondences))
+    return choose_best(pair, seen.T_target_source[: pair.config.shortlist.max_poses])
+
+
+def _look_at_few(pair: Pair, matcher: Matcher) -> RoughPoses:
+    """The best distinct poses of the matches of a part of the points; none where all matches are asked for at once."""
+    correspondences = matcher.few()
+    if correspondences is None:
+        return _NONE
+    hypotheses = pair.hypotheses(correspondences, generate_hypotheses)
+    return _look_at_shortlist(pair, hypotheses, correspondences, 0)
+
+
+def _look_at_all(pair: Pair, correspondences: Correspondences) -> RoughPoses:
+    """The best of many hypotheses, each refined and looked at roughly, with few points of both scans.
+
+    At low overlap a right pose has hardly more inliers or overlap than wrong ones; its free sight lines tell it.
+    """
+    hypotheses = pair.hypotheses(correspondences, pool_hypotheses)
+    return _look_at_shortlist(pair, hypotheses, correspondences, pair.config.shortlist.rough_poses)
+
+
+def _look_at_shortlist(
+    pair: Pair, hypotheses: HypothesisSet, correspondences: Correspondences, more: int
+) -> RoughPoses:
+    """The shortlist, and `more` hypotheses by how far the scans agree, all looked at roughly."""
+    if len(hypotheses) == 0:
+        return _NONE
+    config = pair.config
+    with pair.watch.stage("shortlist"):
+        by_agreement = shortlist.order_by_agreement(hypotheses.T_target_source, pair.source, pair.target, config)
+        starts = shortlist.shortlist(hypotheses, correspondences, by_agreement, config)
+        wide = by_agreement[shortlist.select_distinct(by_agreement, config.shortlist, more)]
+    with pair.watch.stage("rough_look"):
+        return _rough(pair, np.concatenate((starts, wide)))
+
+
+def _look_at_levelled(pair: Pair) -> RoughPoses:
+    """The best turns and shifts of two scans that see the ground."""
+    with pair.watch.stage("levelled"):
+        starts = find_levelled_poses(pair.source, pair.target, pair.config.hypotheses.levelled_poses)
+    with pair.watch.stage("rough_look"):
+        return _rough(pair, starts)
+
+
+def _rough(pair: Pair, starts: Array) -> RoughPoses:
+    pair.counts["searched"] = pair.counts.get("searched", 0) + len(starts)
+    return RoughPoses(*look_roughly(pair, starts))
+
+
+def _join(pair: Pair, *looks: RoughPoses) -> RoughPoses:
+    """The distinct ones of all, best first."""
+    T = np.concatenate([look.T_target_source for look in looks])
+    promise = np.concatenate([look.promise for look in looks])
+    order = np.argsort(-promise, kind="stable")
+    order = order[shortlist.select_distinct(T[order], pair.config.shortlist, len(order))]
+    return RoughPoses(T[order], promise[order])
+
+
+_NONE = RoughPoses(np.zeros((0, 4, 4)), np.zeros(0))

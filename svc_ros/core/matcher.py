@@ -1,0 +1,70 @@
+"""The correspondences of a pair, each set matched when somebody asks for it."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from svc_ros.core.features import compute_features
+from svc_ros.core.matching import match
+from svc_ros.core.pair import Pair
+from svc_ros.core.parallel import on_all_processors
+from svc_ros.core.scan import Correspondences, Features
+
+
+class Matcher(Protocol):
+    """Where the correspondences of a pair come from."""
+
+    def few(self) -> Correspondences | None:
+        """Of a part of the points; None where that would be all."""
+
+    def all(self) -> Correspondences:
+        """Of all points."""
+
+    @property
+    def alone(self) -> bool:
+        """Whether nothing but these correspondences may lead to a pose."""
+
+
+class Given:
+    """Correspondences computed elsewhere: they take the place of all that is found in the scans."""
+
+    alone = True
+
+    def __init__(self, correspondences: Correspondences) -> None:
+        self._correspondences = correspondences
+
+    def few(self) -> Correspondences | None:
+        """None: they are all there is."""
+        return None
+
+    def all(self) -> Correspondences:
+        """As they were given."""
+        return self._correspondences
+
+
+class Described:
+    """Correspondences by FPFH."""
+
+    alone = False
+
+    def __init__(self, pair: Pair, known: tuple[Features | None, Features | None]) -> None:
+        self._pair = pair
+        with pair.watch.stage("features"):
+            self._features = tuple(
+                compute_features(scan, pair.config) if features is None else features
+                for scan, features in zip((pair.source, pair.target), known, strict=True)
+            )
+
+    def few(self) -> Correspondences | None:
+        """Of about `matching.first_points` of either scan; None where neither has more, or that is 0."""
+        first = self._pair.config.matching.first_points
+        return self._match(first) if 0 < first < max(map(len, self._features)) else None
+
+    def all(self) -> Correspondences:
+        """Of all points."""
+        return self._match(None)
+
+    def _match(self, num_points: int | None) -> Correspondences:
+        source, target = self._features
+        with self._pair.watch.stage("matching"):
+            return match(source, target, self._pair.config.matching, num_points)
