@@ -28,6 +28,14 @@ def test_bin_of_other_length(tmp_path: Path, extra: int) -> None:
     assert_refused(path, "truncated", "16", f"found {64 + extra}")
 
 
+def test_bin_of_nuscenes_has_the_ring_too(tmp_path: Path) -> None:
+    data = np.c_[STORED, np.full((len(STORED), 2), 7.0)].astype("<f4").tobytes()
+    assert_read(write(tmp_path / "LIDAR_TOP__1533151603547590.pcd.bin", data))
+    assert_read(write(tmp_path / "scan.PCD.BIN", data))
+    assert_refused(write(tmp_path / "cut.pcd.bin", data[:-4]), "x y z intensity ring", "multiple of 20", "found 136")
+    assert_read(write(tmp_path / "0.5.bin", kitti(STORED)))
+
+
 @pytest.mark.parametrize("value", [np.nan, 0.0])
 def test_bin_without_a_usable_point(tmp_path: Path, value: float) -> None:
     path = write(tmp_path / "scan.bin", kitti(np.full((5, 3), value)))

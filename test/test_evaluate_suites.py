@@ -8,6 +8,7 @@ from pathlib import Path
 
 import dask_processes
 import numpy as np
+import pair_list_folders as lists
 import pytest
 import suite_folders as folders
 from mini_data import POSES, pose_between, scan_room, write_dataset
@@ -84,6 +85,23 @@ def test_kitti_is_measured_against_refined_references(tmp_path):
     assert not (tmp_path / "kitti" / "icp").exists()
 
 
+def test_loop_closures_are_measured_by_range(tmp_path):
+    street = lists.write_street(tmp_path)
+    report = report_of(street, "--suite", "kitti-loops", "--limit", "2")
+    recall = report["recall"]["5 deg, 2 m"]
+    assert {name: group["num_pairs"] for name, group in recall["groups"].items()} == {"0-10 m": 1, "10-20 m": 1}
+    assert (recall["recall"], recall["recall_mean_over_groups"]) == (1.0, 1.0)
+    assert not (street / "icp").exists()
+
+
+def test_nuscenes_is_measured_as_it_is_distributed(tmp_path):
+    root = lists.write_arrays(lists.write_nuscenes(tmp_path), "lonuscenes", [(lists.LOG, 0, 4)])
+    text = run(root, "--suite", "lonuscenes")
+    assert "LoNuScenes: method svc, preset lidar_outdoor" in text
+    assert "recall (1 deg, 0.1 m)" in text
+    assert "recall 0-10 m" in text
+
+
 def test_given_correspondences_take_the_place_of_descriptors(room, tmp_path):
     """Right ones find the pose at once; wrong ones, of another pose, lead away from it."""
     points = scan_room(POSES[1], seed=1)[::20]
@@ -146,13 +164,26 @@ def test_wrong_words_are_told_in_one_line(room, words, message):
 
 def test_the_page_tells_every_suite_definition_and_key():
     from svc_ros.io import correspondence_files
-    from svc_ros.io.suites import SUITES, kitti, threedmatch
+    from svc_ros.io.suites import SUITES, kitti, kitti_lists, pair_list, threedmatch
 
     page = (Path(__file__).resolve().parent.parent / "docs" / "benchmarks.md").read_text("utf-8")
     keys = [key for pair in correspondence_files._KEYS for key in pair]
-    names = [c.name for c in (*kitti.CRITERIA, *threedmatch.CRITERIA)]
-    assert [name for name in (*SUITES, *names, *keys, "distance", "corr_scores") if f"`{name}`" not in page] == []
+    criteria = (*kitti.CRITERIA, *threedmatch.CRITERIA, *kitti_lists.LOOP_CRITERIA, *kitti_lists.ROTATED_CRITERIA)
+    names = [c.name for c in (*criteria, *kitti_lists.LOW_OVERLAP_CRITERIA)]
+    files = (*kitti_lists.LOOP_RANGES.values(), kitti_lists.LIST_OF_GCL)
+    places = [f"{folder}/" for folder in (*kitti_lists.LOOP_FOLDERS, *pair_list.ARRAY_FOLDERS) if folder]
+    told = (*SUITES, *names, *keys, *files, *places, "distance", "corr_scores")
+    assert [name for name in told if f"`{name}`" not in page] == []
+    assert f"{kitti_lists.MAX_DISTANCE_M:g} m apart" in page
     assert f"{suite_reference.VOXEL_SIZE_M} m grid, pairs within {suite_reference.MAX_DISTANCE_M} m" in page
+
+
+def test_the_help_names_every_suite():
+    from svc_ros.cli.evaluate import SuiteOption
+    from svc_ros.io.suites import SUITES
+
+    help_text = SuiteOption.__metadata__[0].help
+    assert sorted(help_text.removeprefix("Layout of DIR: ").removesuffix(".").split(", ")) == sorted(SUITES)
 
 
 def test_workers_and_scheduler_exclude_each_other(room):

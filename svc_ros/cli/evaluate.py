@@ -31,7 +31,13 @@ FoldersArgument = Annotated[
     list[Path], typer.Argument(metavar="DIR...", help="Folders with a dataset.json, or a benchmark's (--suite).")
 ]
 SuiteOption = Annotated[
-    str | None, typer.Option("--suite", metavar="NAME", help="Layout of DIR: kitti, 3dmatch, 3dlomatch or mulran.")
+    str | None,
+    typer.Option(
+        "--suite",
+        metavar="NAME",
+        help="Layout of DIR: kitti, kitti-loops, lokitti, rotkitti, 3dmatch, 3dlomatch, mulran, lonuscenes, "
+        "rotnuscenes.",
+    ),
 ]
 GivenOption = Annotated[
     Path | None,

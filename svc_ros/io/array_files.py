@@ -14,18 +14,30 @@ from numpy.typing import NDArray
 from svc_ros.core.errors import UnsupportedCloudError
 from svc_ros.io.cloud_columns import RawPoints, field_index
 
-_KITTI_POINT_BYTES = 16
+_FLOAT_BYTES = 4
 _MOST_COLUMNS = 16  # more columns than this is an array of something else, or transposed
 _DEFLATE_EXPANSION = 1032  # most bytes that one compressed byte can stand for
 
 
 def points_from_bin(data: bytes) -> RawPoints:
     """Parse KITTI's layout: float32 x, y, z, intensity a point, little-endian, no header."""
-    if len(data) % _KITTI_POINT_BYTES:
+    return _points_from_floats(data, "x y z intensity")
+
+
+def points_from_nuscenes(data: bytes) -> RawPoints:
+    """Parse nuScenes' layout: float32 x, y, z, intensity, ring a point, little-endian, no header."""
+    return _points_from_floats(data, "x y z intensity ring")
+
+
+def _points_from_floats(data: bytes, columns: str) -> RawPoints:
+    """Columns (N,) of x, y, z [m] of points stored as these columns, named apart by blanks, in float32."""
+    num_columns = len(columns.split())
+    if len(data) % (_FLOAT_BYTES * num_columns):
         raise UnsupportedCloudError(
-            f"truncated or not float32 x y z intensity: expected a multiple of 16 bytes, found {len(data)}"
+            f"truncated or not float32 {columns}: expected a multiple of {_FLOAT_BYTES * num_columns} bytes, "
+            f"found {len(data)}"
         )
-    values = np.frombuffer(data, "<f4").reshape(-1, 4)
+    values = np.frombuffer(data, "<f4").reshape(-1, num_columns)
     return RawPoints(list(values[:, :3].T))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from svc_ros.core.errors import InputError, UnsupportedCloudError
 from svc_ros.core.scan import Scan
-from svc_ros.io.array_files import points_from_bin, points_from_npy, points_from_npz
+from svc_ros.io.array_files import points_from_bin, points_from_npy, points_from_npz, points_from_nuscenes
 from svc_ros.io.cloud_columns import clean_points
 from svc_ros.io.las_files import points_from_las
 from svc_ros.io.pcd_files import points_from_pcd, write_pcd
@@ -19,6 +19,7 @@ __all__ = ["SUFFIXES", "read_scan", "write_pcd"]
 
 _PARSERS = {
     ".bin": points_from_bin,
+    ".pcd.bin": points_from_nuscenes,
     ".pcd": points_from_pcd,
     ".ply": points_from_ply,
     ".npy": points_from_npy,
@@ -32,16 +33,16 @@ SUFFIXES = tuple(_PARSERS)
 def read_scan(path: str | os.PathLike[str]) -> Scan:
     """Read the points [m] of a file in its own frame; NaN, inf and points at exactly 0, 0, 0 are dropped.
 
-    .bin (KITTI: float32 x y z intensity), .pcd (ASCII, binary, compressed; the translation of VIEWPOINT becomes
-    `sensor_origin`), .ply (ASCII, binary), .npy and .npz (no pickles; array `points` or the only one), .las and .laz.
-    Where the format tells no origin it is 0, 0, 0.
+    .bin (KITTI: float32 x y z intensity), .pcd.bin (nuScenes: float32 x y z intensity ring), .pcd (ASCII, binary,
+    compressed; the translation of VIEWPOINT becomes `sensor_origin`), .ply (ASCII, binary), .npy and .npz (no pickles;
+    array `points` or the only one), .las and .laz. Where the format tells no origin it is 0, 0, 0.
 
     Raises UnsupportedCloudError for content that is no scan or holds no usable point, InputError for a file that
     cannot be read or has another suffix, MissingDependencyError for .las without laspy; each names the file.
     """
     path = Path(path)
     _check_is_file(path)
-    parse = _PARSERS.get(path.suffix.lower())
+    parse = _PARSERS.get("".join(path.suffixes[-2:]).lower()) or _PARSERS.get(path.suffix.lower())
     if parse is None:
         raise InputError(f"{path}: expected one of {', '.join(SUFFIXES)}, found suffix '{path.suffix}'")
     try:

@@ -9,7 +9,9 @@ from pathlib import Path
 from svc_ros.core.config import unknown_name
 from svc_ros.core.errors import InputError
 from svc_ros.io.suites.kitti import read_kitti
+from svc_ros.io.suites.kitti_lists import read_kitti_loops, read_lokitti, read_rotkitti
 from svc_ros.io.suites.mulran import read_mulran
+from svc_ros.io.suites.nuscenes import read_lonuscenes, read_rotnuscenes
 from svc_ros.io.suites.suite import Criterion, Suite, SuitePair
 from svc_ros.io.suites.threedmatch import read_3dlomatch, read_3dmatch
 
@@ -17,9 +19,14 @@ __all__ = ["SUITES", "Criterion", "Suite", "SuitePair", "read_suite"]
 
 _READERS: dict[str, Callable[[Path], Suite]] = {
     "kitti": read_kitti,
+    "kitti-loops": read_kitti_loops,
+    "lokitti": read_lokitti,
+    "rotkitti": read_rotkitti,
     "3dmatch": read_3dmatch,
     "3dlomatch": read_3dlomatch,
     "mulran": read_mulran,
+    "lonuscenes": read_lonuscenes,
+    "rotnuscenes": read_rotnuscenes,
 }
 SUITES = tuple(_READERS)
 

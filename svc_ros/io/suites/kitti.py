@@ -6,6 +6,7 @@ folder or in its `dataset/`. The reference is the drive's poses, refined by ICP 
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -13,41 +14,32 @@ import numpy as np
 from svc_ros.core.errors import InputError
 from svc_ros.core.scan import Array
 from svc_ros.core.se3 import check_pose, invert, make_pose, nearest_pose
-from svc_ros.io.datasets import SuccessThresholds
 from svc_ros.io.pose_text import parse_numbers
 from svc_ros.io.suites.spacing import pair_by_distance
-from svc_ros.io.suites.suite import Criterion, Suite, SuitePair
+from svc_ros.io.suites.suite import Criterion, Suite, SuitePair, suite_of_drives
 from svc_ros.io.trajectories import read_kitti as read_poses
 
 SEQUENCES = ("08", "09", "10")
 LEFT_OUT = {("08", 15, 58)}  # its reference is known to be wrong; every evaluation leaves it out
-CRITERIA = (
-    Criterion("5 deg, 0.6 m", rotation_deg=5.0, translation_m=0.6),
-    Criterion("5 deg, 2 m", rotation_deg=5.0, translation_m=2.0),
-)
+CRITERIA = (Criterion.within(5.0, 0.6), Criterion.within(5.0, 2.0))
+SENSOR = "Velodyne HDL-64E"
 _LAYOUT = "sequences/08/velodyne/*.bin, sequences/08/calib.txt and poses/08.txt (also 09, 10)"
 
 
 def read_kitti(root: Path) -> Suite:
     """Pairs of those of the sequences 08, 09, 10 that are there: 555 where all are. Raises InputError."""
-    base = next((folder for folder in (root, root / "dataset") if (folder / "sequences").is_dir()), None)
+    base = find_base(root)
     present = [] if base is None else [name for name in SEQUENCES if (base / "sequences" / name / "velodyne").is_dir()]
     if base is None or not present:
         raise InputError(f"{root}: expected {_LAYOUT}, found none of the sequences")
     pairs = [pair for name in present for pair in _pairs_of(root, base, name)]
-    return Suite(
-        root=root,
-        name="KITTI odometry, 10 m",
-        sensor="Velodyne HDL-64E",
-        preset="lidar_outdoor",
-        min_range_m=3.0,
-        max_range_m=80.0,
-        sensor_origin=np.zeros(3),
-        success=SuccessThresholds(5.0, 0.6),
-        pairs=list(pairs),
-        criteria=CRITERIA,
-        refined=root / "icp",
-    )
+    suite = suite_of_drives(root, "KITTI odometry, 10 m", SENSOR, pairs, CRITERIA)
+    return dataclasses.replace(suite, refined=root / "icp")
+
+
+def find_base(root: Path) -> Path | None:
+    """The folder that holds `sequences/`: the root itself or its `dataset/`; None where neither does."""
+    return next((folder for folder in (root, root / "dataset") if (folder / "sequences").is_dir()), None)
 
 
 def _pairs_of(root: Path, base: Path, sequence: str) -> list[SuitePair]:

@@ -7,6 +7,7 @@ be such a sequence, or hold several.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,11 +17,10 @@ from scipy.spatial.transform import Rotation
 from svc_ros.core.errors import InputError, TransformUnavailableError
 from svc_ros.core.scan import Array
 from svc_ros.core.se3 import check_pose, invert, make_pose, nearest_pose
-from svc_ros.io.datasets import SuccessThresholds
 from svc_ros.io.pose_text import parse_numbers
 from svc_ros.io.suites.kitti import CRITERIA
 from svc_ros.io.suites.spacing import pair_by_distance
-from svc_ros.io.suites.suite import Suite, SuitePair
+from svc_ros.io.suites.suite import Suite, SuitePair, suite_of_drives
 from svc_ros.io.trajectories import Trajectory
 from svc_ros.io.transform_files import read_transform
 
@@ -37,19 +37,9 @@ def read_mulran(root: Path) -> Suite:
     found = [folder for folder in (root, *sorted(root.iterdir())) if (folder / _SCANS).is_dir()]
     if not found:
         raise InputError(f"{root}: expected {_SCANS}/*.bin and {_POSES} in it or in its folders, found none")
-    return Suite(
-        root=root,
-        name=f"MulRan, 10 m, {root.resolve().name}",
-        sensor="Ouster OS1-64",
-        preset="lidar_outdoor",
-        min_range_m=3.0,
-        max_range_m=80.0,
-        sensor_origin=np.zeros(3),
-        success=SuccessThresholds(5.0, 0.6),
-        pairs=[pair for folder in found for pair in _pairs_of(root, folder)],
-        criteria=CRITERIA,
-        refined=root / "icp",
-    )
+    pairs = [pair for folder in found for pair in _pairs_of(root, folder)]
+    suite = suite_of_drives(root, f"MulRan, 10 m, {root.resolve().name}", "Ouster OS1-64", pairs, CRITERIA)
+    return dataclasses.replace(suite, refined=root / "icp")
 
 
 def _pairs_of(root: Path, folder: Path) -> Iterator[SuitePair]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from svc_ros.core.scan import Array
-from svc_ros.io.datasets import Dataset, Pair
+from svc_ros.io.datasets import Dataset, Pair, SuccessThresholds
 
 
 @dataclass(frozen=True)
@@ -23,10 +26,16 @@ class Criterion:
     max_rmse_m: float | None = None
     min_gap: int = 0
 
+    @classmethod
+    def within(cls, rotation_deg: float, translation_m: float) -> Criterion:
+        """Both errors within these bounds [deg], [m], named after them."""
+        name = f"{rotation_deg:g} deg, {translation_m:g} m"
+        return cls(name, rotation_deg=rotation_deg, translation_m=translation_m)
+
 
 @dataclass(frozen=True, eq=False)
 class SuitePair(Pair):
-    """A pair of a benchmark. group: its scene or sequence; indices: of target and source in the group;
+    """A pair of a benchmark. group: its scene, sequence or range; indices: of target and source in their recording;
     information: (6, 6) of the reference, order x y z [m] then the quaternion's x y z, where the benchmark has it."""
 
     group: str = ""
@@ -41,3 +50,27 @@ class Suite(Dataset):
 
     criteria: tuple[Criterion, ...] = ()
     refined: Path | None = None
+
+
+def suite_of_drives(
+    root: Path, name: str, sensor: str, pairs: Sequence[SuitePair], criteria: tuple[Criterion, ...]
+) -> Suite:
+    """A benchmark of a LiDAR on a car: returns of 3 to 80 m, seen from the scans' own origin; references are final.
+
+    The first of the criteria bounds a rotation and a translation: the data set's `success`.
+    """
+    rotation_deg, translation_m = criteria[0].rotation_deg, criteria[0].translation_m
+    assert rotation_deg is not None
+    assert translation_m is not None
+    return Suite(
+        root=root,
+        name=name,
+        sensor=sensor,
+        preset="lidar_outdoor",
+        min_range_m=3.0,
+        max_range_m=80.0,
+        sensor_origin=np.zeros(3),
+        success=SuccessThresholds(rotation_deg, translation_m),
+        pairs=list(pairs),
+        criteria=criteria,
+    )

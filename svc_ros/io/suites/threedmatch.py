@@ -24,7 +24,7 @@ _OF_A_SCENE = "-evaluation"
 # The paper's and the learned methods' criterion, over all pairs of gt.log; and the benchmark's own, over the pairs
 # that are not neighbours in time.
 CRITERIA = (
-    Criterion("15 deg, 0.3 m", rotation_deg=15.0, translation_m=0.3),
+    Criterion.within(15.0, 0.3),
     Criterion("rmse 0.2 m, not consecutive", max_rmse_m=0.2, min_gap=2),
 )
 
