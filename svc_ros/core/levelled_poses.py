@@ -13,7 +13,6 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from svc_ros.core import wall_map_kernels
-from svc_ros.core.levelling import find_level
 from svc_ros.core.parallel import on_all_processors
 from svc_ros.core.scan import Array, PreparedScan
 from svc_ros.core.se3 import invert, make_pose
@@ -24,11 +23,6 @@ _PEAKS = 12  # of one turn
 _CONTRADICTION = 0.1  # a wall where the other sensor looked across counts so much of one that agrees
 _BLUR_CELLS = 0.6
 _NEAR_TURNS, _NEAR_CELLS = 2, 2  # peaks that are no farther apart are one
-
-
-def stand_level(source: PreparedScan, target: PreparedScan) -> bool:
-    """Whether both scans see the ground."""
-    return all(level is not None for level in on_all_processors(find_level, (source, target)))
 
 
 def find_levelled_poses(source: PreparedScan, target: PreparedScan, limit: int) -> Array:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 
 from svc_ros.core.scan import Array, PreparedScan
@@ -9,21 +12,33 @@ from svc_ros.core.se3 import make_pose, turn_onto
 
 _CONES = (0.8, 0.9, 0.95, 0.97)  # cosines: the ground lies within 37 deg of level, then within what is found
 _MIN_GROUND, _MIN_GROUND_SHARE = 50, 0.03  # points of a scan that face up from below the sensor
+_SURE_TILT_DEG, _SURE_GROUND_SHARE = 20.0, 0.1
+_SURE_BELOW_M, _SURE_BELOW_SHARE = 0.7, 0.05  # next to nothing lies so far below the ground
+_WALL_COSINE, _SECTORS = 0.4, 16  # walls that face one way: within two sectors of a circle
 _UP = np.array([0.0, 0.0, 1.0])
 
 
-def find_level(scan: PreparedScan) -> Array | None:
+@dataclass(frozen=True, eq=False)
+class Level:
     """T_level_scan (4, 4): z up, the ground about the sensor at z = 0 and the sensor above the origin.
 
-    None where the scan sees too little ground, or stands steeper than about 35 deg. Found once a scan.
+    sure: whether it can hardly be a wall that was taken for the ground: nothing lies below, no wall is larger, and the
+    sensor stands upright.
     """
+
+    T_level_scan: Array
+    sure: bool
+
+
+def find_level(scan: PreparedScan) -> Level | None:
+    """None where the scan sees too little ground, or stands steeper than about 35 deg. Found once a scan."""
     if "level" not in scan.memo:
         scan.memo["level"] = _find_level(scan)
-    level: Array | None = scan.memo["level"]
+    level: Level | None = scan.memo["level"]
     return level
 
 
-def _find_level(scan: PreparedScan) -> Array | None:
+def _find_level(scan: PreparedScan) -> Level | None:
     from_sensor, up = scan.points - scan.sensor_origin, _UP
     for cosine in _CONES:
         ground = (scan.normals @ up > cosine) & (from_sensor @ up < 0.0)
@@ -31,8 +46,21 @@ def _find_level(scan: PreparedScan) -> Array | None:
             return None
         mean = scan.normals[ground].mean(0)
         up = mean / np.linalg.norm(mean)
-    height = from_sensor[ground] @ up
-    level = np.linalg.norm(from_sensor[ground] - height[:, None] * up, axis=1)
-    ground_z = float(np.median(height[level <= np.median(level)]))
+    height = from_sensor @ up
+    level = np.linalg.norm(from_sensor[ground] - height[ground, None] * up, axis=1)
+    ground_z = float(np.median(height[ground][level <= np.median(level)]))
     R = turn_onto(up, _UP)
-    return make_pose(R, -R @ scan.sensor_origin - ground_z * _UP)
+    share, below = float(ground.mean()), float(np.mean(height < ground_z - _SURE_BELOW_M))
+    sure = (
+        up[2] >= math.cos(math.radians(_SURE_TILT_DEG)) and share >= _SURE_GROUND_SHARE
+        and below <= _SURE_BELOW_SHARE and share >= _largest_wall(scan.normals @ R.T)
+    )  # fmt: skip
+    return Level(make_pose(R, -R @ scan.sensor_origin - ground_z * _UP), bool(sure))
+
+
+def _largest_wall(normals: Array) -> float:
+    """Share of level normals (N, 3) that are upright surface's and face about the same way."""
+    upright = normals[np.abs(normals[:, 2]) < _WALL_COSINE]
+    azimuth = np.arctan2(upright[:, 1], upright[:, 0])
+    num = np.bincount((azimuth / (2.0 * np.pi) * _SECTORS).astype(np.int64) % _SECTORS, minlength=_SECTORS)
+    return float((num + np.roll(num, 1)).max() / len(normals))

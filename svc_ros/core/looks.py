@@ -13,7 +13,7 @@ import numpy as np
 
 from svc_ros.core import shortlist
 from svc_ros.core.hypotheses import generate_hypotheses, pool_hypotheses
-from svc_ros.core.levelled_poses import find_levelled_poses, stand_level
+from svc_ros.core.levelled_poses import find_levelled_poses
 from svc_ros.core.matcher import Matcher
 from svc_ros.core.pair import Pair
 from svc_ros.core.result import RegistrationResult
@@ -42,25 +42,25 @@ class RoughPoses:
 
     def contenders(self) -> Array:
         """Those (S, 4, 4) that may win, or cast doubt on the winner."""
-        return self.T_target_source[self.promise > self.promise[0] - _HOPELESS]
+        return np.asarray(self.T_target_source[self.promise > self.promise[0] - _HOPELESS])
 
 
 def find_pose(pair: Pair, matcher: Matcher) -> RegistrationResult:
     """Look, up to three times, until a pose is accepted; else the best of all that was seen, judged."""
-    levelled = pair.config.hypotheses.levelled_poses
-    level = levelled > 0 and not matcher.alone and stand_level(pair.source, pair.target)
+    levels = [] if matcher.alone else pair.levels()
     # First look: what a part of the points agrees on; that is enough for most pairs.
     seen = _look_at_few(pair, matcher)
-    if seen.promising or (len(seen) and not level):
+    if seen.promising or (len(seen) and not levels):
         result = choose_best(pair, seen.contenders())
         if result.accepted:
             return result
     # Second look: every turn and shift on the ground. If nothing is seen now, there is nothing to be seen.
-    if level:
+    if levels:
         seen = _join(pair, seen, _look_at_levelled(pair))
-        result = choose_best(pair, seen.contenders() if seen.promising else seen.T_target_source[:_LAST_TRIES])
-        if result.accepted or not seen.promising:
-            return result
+        if seen.promising or all(level.sure for level in levels):
+            result = choose_best(pair, seen.contenders() if seen.promising else seen.T_target_source[:_LAST_TRIES])
+            if result.accepted or not seen.promising:
+                return result
     # Last look: the matches of all points, thresholds further apart, many more poses.
     correspondences = matcher.all()
     seen = _join(pair, seen, _look_at_all(pair, correspondences))

@@ -7,7 +7,6 @@ from typing import Protocol
 from svc_ros.core.features import compute_features
 from svc_ros.core.matching import match
 from svc_ros.core.pair import Pair
-from svc_ros.core.parallel import on_all_processors
 from svc_ros.core.scan import Correspondences, Features
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from svc_ros.core import decision, icp
 from svc_ros.core.config import Config, HypothesisConfig
 from svc_ros.core.evidence import SightViewEvidence
+from svc_ros.core.levelling import Level, find_level
 from svc_ros.core.observability import SurfaceContact, find_contact
 from svc_ros.core.parallel import on_all_processors
 from svc_ros.core.placement import place
@@ -29,6 +30,15 @@ class Pair:
     config: Config
     counts: dict[str, int]
     watch: Stopwatch
+
+    def levels(self) -> list[Level]:
+        """How either scan stands on the ground; none where one does not see it, or nobody asks for levelled poses."""
+        if self.config.hypotheses.levelled_poses == 0:
+            return []
+        with self.watch.stage("levelled"):
+            found = on_all_processors(find_level, (self.source, self.target))
+        known = [level for level in found if level is not None]
+        return known if len(known) == len(found) else []
 
     def hypotheses(
         self,

@@ -1,4 +1,4 @@
-"""How the default method judges poses: each refined, looked at along the sight lines of both scans, the best decided on.
+"""How the default method judges poses: refined, looked at along the sight lines of both scans, the best decided on.
 
 Others may cast doubt on it: different poses, the same shifted where the surfaces hardly resist, and turned by half.
 """

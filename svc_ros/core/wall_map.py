@@ -67,8 +67,8 @@ def wall_map(scan: PreparedScan, raster: Raster) -> WallMap | None:
     """The map of a scan, None where no ground tells which way is up; drawn once a scan and raster."""
     key = ("wall_map", raster)
     if key not in scan.memo:
-        T = find_level(scan)
-        scan.memo[key] = None if T is None else _draw(scan, T, raster)
+        level = find_level(scan)
+        scan.memo[key] = None if level is None else _draw(scan, level.T_level_scan, raster)
     drawn: WallMap | None = scan.memo[key]
     return drawn
 
@@ -89,4 +89,4 @@ def _draw(scan: PreparedScan, T: Array, raster: Raster) -> WallMap:
         i, j = cells.astype(np.int64).T + half
         free[i, j] = value
     facing = facing / np.linalg.norm(facing, axis=1, keepdims=True)
-    return WallMap(T, walls, np.asarray(facing, np.float64), taken * cell_m, (np.argwhere(free) - half) * cell_m)
+    return WallMap(T, walls, np.asarray(facing, np.float64), taken * cell_m, np.asarray((np.argwhere(free) - half) * cell_m, np.float64))
