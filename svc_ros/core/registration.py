@@ -6,8 +6,9 @@ from numpy.typing import ArrayLike
 
 from svc_ros.core import selection
 from svc_ros.core.config import Config
+from svc_ros.core.descriptors import load_descriptors, more_matches
 from svc_ros.core.features import compute_features
-from svc_ros.core.hypotheses import generate_hypotheses, pool_hypotheses
+from svc_ros.core.hypotheses import generate_from_each, generate_hypotheses, pool_hypotheses
 from svc_ros.core.matching import match
 from svc_ros.core.pair import Pair
 from svc_ros.core.parallel import on_all_processors
@@ -33,40 +34,43 @@ def register(
 ) -> RegistrationResult:
     """Find the pose of the source in the target's frame, and say whether it is right.
 
-    Scans are prepared and described here; pass Features to reuse them. Correspondences computed elsewhere (learned
-    descriptors) take the place of FPFH matching. No alignment is a verdict, never an exception; broken input raises
-    an InputError (TooFewPointsError for a scan without enough points).
+    Scans are prepared and described here; pass Features to reuse them. Correspondences computed elsewhere take the
+    place of all matching. No alignment is a verdict, never an exception; broken input raises an InputError
+    (TooFewPointsError for a scan without enough points), what is wrong with a configured descriptor a ConfigError,
+    MissingDependencyError or DescriptorError.
     """
     pair = _prepared_pair(source, target, config)
     if correspondences is not None:
-        return _answer(pair, correspondences)
+        return _answer(pair, [correspondences])
+    load_descriptors(config)  # what cannot be used is told at the first pair, not at the first one that is hard
     # Describe every point.
     with pair.watch.stage("features"):
         described = _described(source, pair.source, config), _described(target, pair.target, config)
     # Match the descriptors; a part of many is enough for most pairs, and all are matched where it is not.
     if config.method == "svc" and 0 < config.matching.first_points < max(map(len, described)):
-        result = _answer(pair.without_wide_search(), _matched(pair, described, config.matching.first_points))
+        result = _answer(pair.without_wide_search(), [_matched(pair, described, config.matching.first_points)])
         if result.accepted:
             return result
-    return _answer(pair, _matched(pair, described))
+    return _answer(pair, [_matched(pair, described), *_matched_otherwise(pair)])
 
 
-def _answer(pair: Pair, correspondences: Correspondences) -> RegistrationResult:
-    """The verdict that correspondences lead to."""
+def _answer(pair: Pair, matches: list[Correspondences]) -> RegistrationResult:
+    """The verdict that correspondences lead to, a set of each descriptor."""
     config, counts = pair.config, pair.counts
-    counts["correspondences"] = len(correspondences)
-    if len(correspondences) < config.matching.min_correspondences:
-        detail = f"{len(correspondences)} correspondences, at least {config.matching.min_correspondences} are needed"
+    counts["correspondences"], most = sum(map(len, matches)), max(map(len, matches))
+    if most < config.matching.min_correspondences:
+        detail = f"{most} correspondences, at least {config.matching.min_correspondences} are needed"
         return _unanswered(Reason.TOO_FEW_CORRESPONDENCES, detail, pair)
+    matches = [each for each in matches if len(each) >= config.matching.min_correspondences]
     # Poses that many correspondences agree on.
     generate = pool_hypotheses if config.shortlist.rough_poses and config.method == "svc" else generate_hypotheses
     with pair.watch.stage("hypotheses"):
-        hypotheses = generate(correspondences, config.hypotheses)
+        hypotheses = generate_from_each(generate, matches, config.hypotheses)
     counts["hypotheses"] = len(hypotheses)
     if len(hypotheses) == 0:
         return _unanswered(Reason.NO_HYPOTHESIS, "no consistent set of correspondences", pair)
     # Choose one of them and judge it, each method in its own way.
-    return selection.METHODS[config.method](pair, correspondences, hypotheses)
+    return selection.METHODS[config.method](pair, Correspondences.of_all(matches), hypotheses)
 
 
 def verify(
@@ -107,6 +111,16 @@ def _described(given: Scan | Features, prepared: PreparedScan, config: Config) -
 def _matched(pair: Pair, described: tuple[Features, Features], num_points: int | None = None) -> Correspondences:
     with pair.watch.stage("matching"):
         return match(*described, pair.config.matching, num_points)
+
+
+def _matched_otherwise(pair: Pair) -> list[Correspondences]:
+    """What descriptors beside FPFH match, where any are configured."""
+    if not pair.config.matching.more_descriptors:
+        return []
+    with pair.watch.stage("more_matches"):
+        found = more_matches(pair.source, pair.target, pair.config)
+    pair.counts["more_correspondences"] = sum(map(len, found))
+    return found
 
 
 def _unanswered(reason: Reason, detail: str, pair: Pair) -> RegistrationResult:
