@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import shutil
 import subprocess
 import sys
@@ -19,6 +20,7 @@ def write_package(site: Path, module: str, code: str, **offers: str) -> None:
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 1.0\n")
     lines = [f"{name} = {module}:{function}" for name, function in offers.items()]
     (info / "entry_points.txt").write_text("\n".join(["[svc_ros.descriptors]", *lines, ""]))
+    importlib.invalidate_caches()  # the folder may have been looked through in this very moment
 
 
 def install_example(folder: Path) -> Path:
