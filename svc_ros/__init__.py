@@ -10,13 +10,15 @@ if TYPE_CHECKING:
     from svc_ros.core.errors import SvcError
     from svc_ros.core.registration import extract_features, prepare, register, verify
     from svc_ros.core.result import Reason, RegistrationResult, Verdict
-    from svc_ros.core.scan import Correspondences, Scan
+    from svc_ros.core.scan import Correspondences, Description, PreparedScan, Scan
 
 __version__ = "0.1.0"
 
 __all__ = [
     "Config",
     "Correspondences",
+    "Description",
+    "PreparedScan",
     "Reason",
     "RegistrationResult",
     "Scan",
@@ -36,7 +38,7 @@ _HOMES = {
     "svc_ros.core.errors": ("SvcError",),
     "svc_ros.core.registration": ("extract_features", "prepare", "register", "verify"),
     "svc_ros.core.result": ("Reason", "RegistrationResult", "Verdict"),
-    "svc_ros.core.scan": ("Correspondences", "Scan"),
+    "svc_ros.core.scan": ("Correspondences", "Description", "PreparedScan", "Scan"),
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 

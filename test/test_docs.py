@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import json
 import re
 
@@ -13,12 +14,14 @@ from conftest import PROJECT_ROOT
 from test_readme import COMMANDS, node_defaults
 from test_readme import rows as readme_rows
 
-from svc_ros.core.config import METHODS, PRESETS, preset, walk
+from svc_ros.core import errors
+from svc_ros.core.config import METHODS, PRESETS, Config, preset, walk
 from svc_ros.core.evidence import SightLines, SightViewEvidence
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
+from svc_ros.core.scan import Description, PreparedScan
 
 DOCS = PROJECT_ROOT / "docs"
-PAGES = ("interfaces", "frames", "decisions", "tuning", "integration", "how_it_decides", "calibrate")
+PAGES = ("interfaces", "frames", "decisions", "tuning", "integration", "how_it_decides", "calibrate", "descriptors")
 TEXTS = {name: (DOCS / f"{name}.md").read_text("utf-8") for name in PAGES}
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 CONFIG = {info.name: info.default for info in walk(preset("lidar_outdoor"))}
@@ -27,6 +30,7 @@ GROUPS = {name.partition(".")[0] for name in CONFIG if "." in name}
 FOREIGN = {
     "NaN", "base_link", "bond", "use_sim_time", "qos_overrides", "header.frame_id", "child_frame_id", "frame_id",
     "/kiss/odometry", "/initialpose", "/tf", "/source", "VERTEX_SE3:QUAT", "EDGE_SE3:QUAT",
+    "pyproject.toml", "svc_ros_spin_images.py", "functools.lru_cache",
     "configure", "activate", "deactivate", "cleanup", "message", "p_target = T_target_source p_source",
 }  # fmt: skip
 PROGRAMS = ("svc_ros ", "ros2 ")
@@ -65,6 +69,13 @@ def spelled_out() -> set[str]:
     return {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
 
 
+def data_types() -> set[str]:
+    """Names of the errors, and of the types that a descriptor deals with and their fields."""
+    types = (Config, Description, PreparedScan)
+    values = {f.name for kind in types for f in dataclasses.fields(kind)}
+    return values | {kind.__name__ for kind in types} | {name for name in vars(errors) if name.endswith("Error")}
+
+
 def evidence_keys() -> set[str]:
     nothing = np.zeros(0, np.int64)
     lines = SightLines(0, 0, nothing, nothing)
@@ -87,7 +98,7 @@ def known() -> set[str]:
     values = {*CONFIG, *GROUPS, *node_defaults(), "preset", *PRESETS, *METHODS, *launch_arguments()}
     sets = set(json.loads((PROJECT_ROOT / "benchmarks/results/decision.json").read_text("utf-8"))["num_poses"])
     told = sets | codes | statuses | topics | services | types | values
-    return told | evidence_keys() | spelled_out() | programs_and_files() | FOREIGN
+    return told | data_types() | evidence_keys() | spelled_out() | programs_and_files() | FOREIGN
 
 
 def is_known(word: str, known: set[str]) -> bool:

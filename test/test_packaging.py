@@ -169,6 +169,8 @@ class TestInstallation:
             assert (share / "svc_ros/package.xml").is_file()
             assert {path.name for path in (share / "svc_ros/config").glob("*.yaml")} >= {"lidar_outdoor.yaml"}
             assert any((prefix / "lib").glob("python3*/site-packages/svc_ros/py.typed"))
+            installed = {path.name for path in (prefix / "lib").glob("python3*/site-packages/*")}
+            assert installed == {"svc_ros", f"svc_ros-{svc_ros.__version__}.dist-info"}  # no tests, no example package
             (shell,) = (prefix / "lib").glob("python3*/site-packages/svc_ros/evaluation/report_page")
             source_of_it = PROJECT_ROOT / "svc_ros/evaluation/report_page"
             assert {path.name for path in shell.iterdir()} == {path.name for path in source_of_it.iterdir()}

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import PROJECT_ROOT
+from descriptor_packages import write_package
 from replay_cases import (
     CONFIG,
     OUTPUTS,
@@ -32,8 +33,8 @@ from replay_cases import (
 )
 
 from svc_ros.core import se3
-from svc_ros.core.config import preset
-from svc_ros.core.errors import InputError, MissingDependencyError
+from svc_ros.core.config import preset, with_values
+from svc_ros.core.errors import ConfigError, InputError, MissingDependencyError
 from svc_ros.evaluation import replay_run
 from svc_ros.evaluation.replay_job import MODES, ReplayJob
 from svc_ros.evaluation.replay_reference import MAX_ROTATION_DEG, MAX_TRANSLATION_M
@@ -340,6 +341,18 @@ def test_what_is_not_installed_is_said_before_the_work(
         monkeypatch.chdir(write_reference(tmp_path / "reference.txt").parent)
     with pytest.raises(MissingDependencyError, match=message):
         replay_bag(job(bag, tmp_path / "out", **values))
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_descriptor_that_cannot_be_used_is_told_before_the_work(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_package(tmp_path, "incomplete", "import not_installed_anywhere", incomplete="describe")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for name, error in (("incomplete", MissingDependencyError), ("unknown", ConfigError)):
+        config = with_values(CONFIG, {"matching.more_descriptors": name})
+        with pytest.raises(error, match=name):
+            replay_bag(dataclasses.replace(job(bag, tmp_path / "out"), config=config))
     assert not (tmp_path / "out").exists()
 
 

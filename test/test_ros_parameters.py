@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from descriptor_packages import write_package
 
 rclpy = pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
 
@@ -11,7 +12,7 @@ from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 
 from svc_ros.core.config import Config, preset, walk, with_values  # noqa: E402
-from svc_ros.core.errors import ConfigError  # noqa: E402
+from svc_ros.core.errors import ConfigError, MissingDependencyError  # noqa: E402
 from svc_ros.ros.parameters import OWN, NodeParameters, NodeSettings  # noqa: E402
 from svc_ros.ros.processes import own_domain_id  # noqa: E402
 
@@ -85,6 +86,7 @@ def test_given_value_wins_over_the_preset(make_node):
         ({"preprocess.min_range_m": 500.0}, r"min_range_m \(500.0\) must be below max_range_m"),
         ({"process_every": "yes"}, "process_every: expected a bool"),
         ({"sensor_origin": [1.0]}, "sensor_origin: expected 3 numbers"),
+        ({"matching.more_descriptors": "fpfh_wid"}, "matching.more_descriptors: .*did you mean 'fpfh_wide'"),
         ({"sensor_frame": "lidar", "sensor_origin": [0.0, 0.0, 1.0]}, "exclude each other"),
     ],
 )
@@ -103,6 +105,22 @@ def test_change_is_checked_as_a_whole_and_then_taken(make_node):
     assert parameters.config == Config()
     assert node.set_parameters_atomically(together).successful
     assert (parameters.config.preprocess.min_range_m, parameters.config.preprocess.max_range_m) == (90.0, 100.0)
+
+
+def test_a_descriptor_that_cannot_be_used_is_refused_at_once(make_node, tmp_path, monkeypatch):
+    write_package(tmp_path, "incomplete", "import not_installed_anywhere", incomplete="describe")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    node = make_node()
+    parameters = NodeParameters(node)
+    for names, text in (("fpfh_wide, none", "unknown name 'none'"), ("incomplete", "not_installed_anywhere")):
+        (result,) = node.set_parameters([Parameter("matching.more_descriptors", value=names)])
+        assert not result.successful
+        assert text in result.reason
+    (result,) = node.set_parameters([Parameter("matching.more_descriptors", value="fpfh_wide")])
+    assert result.successful
+    assert parameters.config.matching.more_descriptors == "fpfh_wide"
+    with pytest.raises(MissingDependencyError, match="not_installed_anywhere"):
+        NodeParameters(make_node({"matching.more_descriptors": "incomplete"}))
 
 
 def test_frozen_parameters_cannot_be_changed(make_node):

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from svc_ros.core.config import METHODS, PRESETS, Config, preset, unknown_name, with_values
+from svc_ros.core.descriptor_names import check_names
 from svc_ros.core.errors import ConfigError
 
 DEFAULT_PRESET = "lidar_outdoor"
@@ -45,7 +46,7 @@ def resolve_settings(
     """Build the configuration: the command line wins over the YAML file, the file over the preset.
 
     The preset itself is that of the command line, else the file's, else the default. Raises ConfigError for unknown
-    names and values, InputError for a file that cannot be read.
+    names and values and for descriptors that are not installed, InputError for a file that cannot be read.
     """
     values: dict[str, Any] = {} if method is None else {"method": method}
     if config_file is None:
@@ -57,4 +58,6 @@ def resolve_settings(
     name = preset_name or file.preset or default_preset
     if preset_name is None and name not in PRESETS:
         raise ConfigError(f"{config_file}: {unknown_name('preset', name, list(PRESETS))}")
-    return Settings(name, with_values(file.applied_to(preset(name)), values))
+    config = with_values(file.applied_to(preset(name)), values)
+    check_names(config.matching.more_descriptors)
+    return Settings(name, config)

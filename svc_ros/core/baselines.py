@@ -12,15 +12,16 @@ from svc_ros.core.hypotheses import generate_hypotheses
 from svc_ros.core.matcher import Matcher
 from svc_ros.core.pair import Pair
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
-from svc_ros.core.scan import Array
+from svc_ros.core.scan import Array, Correspondences
 
 
 def choose_sc2(pair: Pair, matcher: Matcher) -> RegistrationResult:
     """The first hypothesis, refined on the correspondences; accepted whatever it is."""
-    config, correspondences = pair.config, matcher.all()
-    hypotheses = pair.hypotheses(correspondences, generate_hypotheses)
+    config, matches = pair.config, matcher.all()
+    hypotheses = pair.hypotheses(matches, generate_hypotheses)
     if len(hypotheses) == 0:
-        return pair.unanswered(len(correspondences))
+        return pair.unanswered(matches)
+    correspondences = Correspondences.of_all(matches)
     with pair.watch.stage("refinement"):
         T = shortlist.refine_on_correspondences(
             hypotheses.T_target_source[0], correspondences, config.hypotheses, config.shortlist
@@ -41,10 +42,10 @@ def _accept_blindly(probability: float) -> decision.Decision:
 
 def choose_paper(pair: Pair, matcher: Matcher) -> RegistrationResult:
     """Algorithm 1: the first hypothesis that passes both ways; when none passes, the first one, rejected."""
-    correspondences = matcher.all()
-    hypotheses = pair.hypotheses(correspondences, generate_hypotheses)
+    matches = matcher.all()
+    hypotheses = pair.hypotheses(matches, generate_hypotheses)
     if len(hypotheses) == 0:
-        return pair.unanswered(len(correspondences))
+        return pair.unanswered(matches)
     poses = hypotheses.T_target_source[: pair.config.paper.max_hypotheses]
     with pair.watch.stage("sight_view"):
         for tried, T in enumerate(poses, 1):

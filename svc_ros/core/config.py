@@ -12,6 +12,7 @@ from typing import Any
 
 from svc_ros.core.config_fields import FieldInfo, Group, check_value, unknown_name, value
 from svc_ros.core.decision_config import CovarianceConfig, DecisionConfig
+from svc_ros.core.descriptor_names import split_names
 from svc_ros.core.errors import ConfigError
 from svc_ros.core.stream_config import LoopClosureConfig, ScanMatchingConfig
 
@@ -62,6 +63,11 @@ class MatchingConfig(Group):
     first_points: int = value(4500, "so many are matched at first, all if that is not accepted; 0: all", "", 0, 10**6)
     max_correspondences: int = value(5000, "the best by distance (ratio: by ratio) are kept", "", 3, 100_000)
     min_correspondences: int = value(10, "fewer are answered with too_few_correspondences", "", 3, 100_000)
+    more_descriptors: str = value("", "descriptors whose matches join the second look: names with commas")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        split_names(self.more_descriptors)  # whether they are installed matters to those who use them only
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,10 @@ class ConfigError(SvcError, ValueError):
     """An unknown name, a value outside its range, or values that exclude each other."""
 
 
+class DescriptorError(SvcError):
+    """A descriptor of `matching.more_descriptors` that failed, or gave what is no description; the message names it."""
+
+
 class TransformUnavailableError(SvcError, LookupError):
     """A transform between two frames that the recorded or received data does not contain."""
 

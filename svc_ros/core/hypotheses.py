@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,8 @@ from svc_ros.core.compatibility import compute_compatibility, leading_eigenvecto
 from svc_ros.core.config import HypothesisConfig
 from svc_ros.core.parallel import in_parts, on_all_processors
 from svc_ros.core.scan import Array, Correspondences, HypothesisSet, IndexArray
+
+Generator = Callable[[Correspondences, HypothesisConfig], HypothesisSet]
 
 _SEEDS, _POINTS = 128, 256  # that one thread takes at once
 
@@ -45,6 +48,17 @@ def pool_hypotheses(correspondences: Correspondences, config: HypothesisConfig) 
     )
     order = np.argsort(-score, kind="stable")
     return HypothesisSet(T[order], num_inliers[order], score[order])
+
+
+def generate_from_each(
+    generate: Generator, sets: Sequence[Correspondences], config: HypothesisConfig
+) -> HypothesisSet:
+    """Those of every set of correspondences by itself, ranked over all of them together: few right ones of one
+    descriptor would be lost among many wrong ones of another."""
+    found = [generate(each, config) for each in sets]
+    if len(found) == 1:
+        return found[0]
+    return rank(np.concatenate([each.T_target_source for each in found]), Correspondences.of_all(sets), config)
 
 
 def select_seeds(source_points: Array, confidence: Array, config: HypothesisConfig) -> IndexArray:

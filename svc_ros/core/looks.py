@@ -57,15 +57,16 @@ def find_pose(pair: Pair, matcher: Matcher) -> RegistrationResult:
     # Second look: every turn and shift on the ground. If nothing is seen now, there is nothing to be seen.
     if levels:
         seen = _join(pair, seen, _look_at_levelled(pair))
-        if seen.promising or all(level.sure for level in levels):
+        at_an_end = not (seen.promising or pair.config.matching.more_descriptors) and all(L.sure for L in levels)
+        if seen.promising or at_an_end:
             result = choose_best(pair, seen.contenders() if seen.promising else seen.T_target_source[:_LAST_TRIES])
-            if result.accepted or not seen.promising:
+            if result.accepted or at_an_end:
                 return result
     # Last look: the matches of all points, thresholds further apart, many more poses.
-    correspondences = matcher.all()
-    seen = _join(pair, seen, _look_at_all(pair, correspondences))
+    matches = matcher.all()
+    seen = _join(pair, seen, _look_at_all(pair, matches))
     if len(seen) == 0:
-        return pair.unanswered(len(correspondences))
+        return pair.unanswered(matches)
     return choose_best(pair, seen.T_target_source[: pair.config.shortlist.max_poses])
 
 
@@ -74,17 +75,19 @@ def _look_at_few(pair: Pair, matcher: Matcher) -> RoughPoses:
     correspondences = matcher.few()
     if correspondences is None:
         return _NONE
-    hypotheses = pair.hypotheses(correspondences, generate_hypotheses)
+    hypotheses = pair.hypotheses([correspondences], generate_hypotheses)
     return _look_at_shortlist(pair, hypotheses, correspondences, 0)
 
 
-def _look_at_all(pair: Pair, correspondences: Correspondences) -> RoughPoses:
+def _look_at_all(pair: Pair, matches: list[Correspondences]) -> RoughPoses:
     """The best of many hypotheses, each refined and looked at roughly, with few points of both scans.
 
     At low overlap a right pose has hardly more inliers or overlap than wrong ones; its free sight lines tell it.
     """
-    hypotheses = pair.hypotheses(correspondences, pool_hypotheses)
-    return _look_at_shortlist(pair, hypotheses, correspondences, pair.config.shortlist.rough_poses)
+    hypotheses = pair.hypotheses(matches, pool_hypotheses)
+    return _look_at_shortlist(
+        pair, hypotheses, Correspondences.of_all(matches), pair.config.shortlist.rough_poses
+    )  # fmt: skip
 
 
 def _look_at_shortlist(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from svc_ros.core.descriptors import more_matches
 from svc_ros.core.features import compute_features
 from svc_ros.core.matching import match
 from svc_ros.core.pair import Pair
@@ -16,8 +17,8 @@ class Matcher(Protocol):
     def few(self) -> Correspondences | None:
         """Of a part of the points; None where that would be all."""
 
-    def all(self) -> Correspondences:
-        """Of all points."""
+    def all(self) -> list[Correspondences]:
+        """Of all points, a set of each descriptor."""
 
     @property
     def alone(self) -> bool:
@@ -36,13 +37,13 @@ class Given:
         """None: they are all there is."""
         return None
 
-    def all(self) -> Correspondences:
+    def all(self) -> list[Correspondences]:
         """As they were given."""
-        return self._correspondences
+        return [self._correspondences]
 
 
 class Described:
-    """Correspondences by FPFH."""
+    """Correspondences by FPFH, and by further descriptors where any are configured."""
 
     alone = False
 
@@ -59,11 +60,20 @@ class Described:
         first = self._pair.config.matching.first_points
         return self._match(first) if 0 < first < max(map(len, self._features)) else None
 
-    def all(self) -> Correspondences:
-        """Of all points."""
-        return self._match(None)
+    def all(self) -> list[Correspondences]:
+        """Of all points: FPFH first, then each of `matching.more_descriptors`."""
+        return [self._match(None), *self._match_otherwise()]
 
     def _match(self, num_points: int | None) -> Correspondences:
         source, target = self._features
         with self._pair.watch.stage("matching"):
             return match(source, target, self._pair.config.matching, num_points)
+
+    def _match_otherwise(self) -> list[Correspondences]:
+        pair = self._pair
+        if not pair.config.matching.more_descriptors:
+            return []
+        with pair.watch.stage("more_matches"):
+            found = more_matches(pair.source, pair.target, pair.config)
+        pair.counts["more_correspondences"] = sum(map(len, found))
+        return found

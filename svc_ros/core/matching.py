@@ -2,19 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
+from typing import Any, Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 
 from svc_ros.core.config import MatchingConfig
 from svc_ros.core.descriptor_tree import Descriptors, DescriptorTree, NearestRows
 from svc_ros.core.parallel import on_all_processors
-from svc_ros.core.scan import Array, Correspondences, Features, IndexArray
+from svc_ros.core.scan import Array, Correspondences, IndexArray
 
 _SAME_SQ_DISTANCE = 1e-7  # of unit rows of float32: rounding alone can make it
 
 
+class Described(Protocol):
+    """Points with descriptors: the Features of a scan (FPFH) or a Description.
+
+    keypoints: (K, 3) [m]; descriptors: (K, D), rows of unit length or zeros; memo: where their tree is kept.
+    """
+
+    @property
+    def keypoints(self) -> Array: ...
+
+    @property
+    def descriptors(self) -> Descriptors: ...
+
+    @property
+    def memo(self) -> dict[Hashable, Any]: ...
+
+
 def match(
-    source: Features, target: Features, config: MatchingConfig, num_points: int | None = None
+    source: Described, target: Described, config: MatchingConfig, num_points: int | None = None
 ) -> Correspondences:
     """Match every source descriptor to its nearest target descriptor, or about `num_points` of either scan.
 
@@ -26,7 +45,7 @@ def match(
     if len(source_idx) == 0 or len(target_idx) == 0:
         return Correspondences.from_points(np.zeros((0, 3)), np.zeros((0, 3)))
     a, b = source.descriptors[source_idx], target.descriptors[target_idx]
-    tree_a, tree_b = on_all_processors(lambda features: descriptor_tree(features, num_points), (source, target))
+    tree_a, tree_b = on_all_processors(lambda side: descriptor_tree(side, num_points), (source, target))
     nearest = tree_b.find(a, with_second=config.strategy == "ratio")
     keep = np.arange(len(a))
     if config.strategy != "one_way":
@@ -70,15 +89,15 @@ def find_interchangeable(
     return np.asarray(crowded)
 
 
-def find_described(features: Features, num_points: int | None = None) -> IndexArray:
+def find_described(features: Described, num_points: int | None = None) -> IndexArray:
     """Indices of the points with a descriptor that is not all zeros; of many at least `num_points`, evenly."""
     described = np.flatnonzero(features.descriptors.any(1)).astype(np.int64)
     return described if num_points is None else described[:: max(1, len(described) // num_points)]
 
 
-def descriptor_tree(features: Features, num_points: int | None = None) -> DescriptorTree:
+def descriptor_tree(features: Described, num_points: int | None = None) -> DescriptorTree:
     """The tree of the described points, built on first use and kept with the scan, as long as it is of these."""
-    memo, key = features.prepared.memo, ("descriptor_tree", num_points)
+    memo, key = features.memo, ("descriptor_tree", num_points)
     kept = memo.get(key)
     if kept is None or kept[0] is not features.descriptors:
         kept = features.descriptors, DescriptorTree.build(features.descriptors[find_described(features, num_points)])

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from svc_ros.core import decision, icp
-from svc_ros.core.config import Config, HypothesisConfig
+from svc_ros.core.config import Config
 from svc_ros.core.evidence import SightViewEvidence
+from svc_ros.core.hypotheses import Generator, generate_from_each
 from svc_ros.core.levelling import Level, find_level
 from svc_ros.core.observability import SurfaceContact, find_contact
 from svc_ros.core.parallel import on_all_processors
@@ -40,16 +41,12 @@ class Pair:
         known = [level for level in found if level is not None]
         return known if len(known) == len(found) else []
 
-    def hypotheses(
-        self,
-        correspondences: Correspondences,
-        generate: Callable[[Correspondences, HypothesisConfig], HypothesisSet],
-    ) -> HypothesisSet:
-        """Poses that many correspondences agree on; none where there are too few correspondences."""
+    def hypotheses(self, sets: Sequence[Correspondences], generate: Generator) -> HypothesisSet:
+        """Poses that many correspondences of one set agree on; none where every set has too few."""
+        enough = [each for each in sets if len(each) >= self.config.matching.min_correspondences]
         with self.watch.stage("hypotheses"):
-            enough = len(correspondences) >= self.config.matching.min_correspondences
-            found = generate(correspondences, self.config.hypotheses) if enough else NO_HYPOTHESES
-        self.counts.update(correspondences=len(correspondences), hypotheses=len(found))
+            found = generate_from_each(generate, enough, self.config.hypotheses) if enough else NO_HYPOTHESES
+        self.counts.update(correspondences=sum(map(len, sets)), hypotheses=len(found))
         return found
 
     def look(self, T: Array) -> SightViewEvidence:
@@ -102,12 +99,12 @@ class Pair:
         with self.watch.stage("observability"):
             return find_contact(self.target, place(self.target, self.source, T, view), view)
 
-    def unanswered(self, num_correspondences: int) -> RegistrationResult:
-        """The result where so many correspondences led to no pose."""
-        least = self.config.matching.min_correspondences
-        if num_correspondences < least:
+    def unanswered(self, sets: Sequence[Correspondences]) -> RegistrationResult:
+        """The result where these correspondences led to no pose."""
+        most, least = max(map(len, sets)), self.config.matching.min_correspondences
+        if most < least:
             reason = Reason.TOO_FEW_CORRESPONDENCES
-            detail = f"{num_correspondences} correspondences, at least {least} are needed"
+            detail = f"{most} correspondences, at least {least} are needed"
         else:
             reason, detail = Reason.NO_HYPOTHESIS, "no consistent set of correspondences"
         return RegistrationResult(

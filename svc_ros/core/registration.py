@@ -5,6 +5,7 @@ from __future__ import annotations
 from numpy.typing import ArrayLike
 
 from svc_ros.core.config import Config
+from svc_ros.core.descriptors import load_descriptors
 from svc_ros.core.features import compute_features
 from svc_ros.core.matcher import Described, Given, Matcher
 from svc_ros.core.methods import METHODS, VERIFIERS
@@ -32,9 +33,10 @@ def register(
 ) -> RegistrationResult:
     """Find the pose of the source in the target's frame, and say whether it is right.
 
-    Scans are prepared and described here; pass Features to reuse them. Correspondences computed elsewhere (learned
-    descriptors) take the place of FPFH matching. No alignment is a verdict, never an exception; broken input raises
-    an InputError (TooFewPointsError for a scan without enough points).
+    Scans are prepared and described here; pass Features to reuse them. Correspondences computed elsewhere take the
+    place of all that is found in the scans. No alignment is a verdict, never an exception; broken input raises an
+    InputError (TooFewPointsError for a scan without enough points), what is wrong with a configured descriptor a
+    ConfigError, MissingDependencyError or DescriptorError.
     """
     pair = _prepared_pair(source, target, config)
     # Match descriptors: those of every point, or what was matched elsewhere.
@@ -79,5 +81,6 @@ def _matcher(
 ) -> Matcher:
     if correspondences is not None:
         return Given(correspondences)
+    load_descriptors(pair.config)  # what cannot be used is told at the first pair, not at the first one that is hard
     known = [features if isinstance(features, Features) else None for features in (source, target)]
     return Described(pair, (known[0], known[1]))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
-from dataclasses import dataclass, field
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -137,8 +137,33 @@ class Features:
         """(K, 3) unit, towards the sensor."""
         return self.prepared.normals
 
+    @property
+    def memo(self) -> dict[Hashable, Any]:
+        """That of the prepared scan."""
+        return self.prepared.memo
+
     def __len__(self) -> int:
         return len(self.prepared)
+
+
+@dataclass(frozen=True, eq=False)
+class Description:
+    """Places of one scan and what they look like, made by a descriptor beside FPFH.
+
+    keypoints: (N, 3) [m] in the scan's frame, any places; descriptors: (N, D), D at least 2, the same for all scans.
+    Only their directions are compared; rows of zeros match nothing. memo: search structures, built on first use.
+    """
+
+    keypoints: Array
+    descriptors: NDArray[np.float32]
+    memo: dict[Hashable, Any] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        _freeze(self, "keypoints", np.float64, (None, 3))
+        _freeze(self, "descriptors", np.float32, (len(self.keypoints), None))
+
+    def __len__(self) -> int:
+        return len(self.keypoints)
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,6 +189,14 @@ class Correspondences:
         source = frozen_array(source_points, np.float64, "source_points", (None, 3))
         target = frozen_array(target_points, np.float64, "target_points", (len(source), 3))
         return cls(source, target, np.zeros(len(source)))
+
+    @classmethod
+    def of_all(cls, sets: Sequence[Correspondences]) -> Correspondences:
+        """All rows of at least one set, one set after the other."""
+        if len(sets) == 1:
+            return sets[0]
+        names = (f.name for f in fields(cls))
+        return cls(*(np.concatenate([getattr(each, name) for each in sets]) for name in names))
 
     def __len__(self) -> int:
         return len(self.source_points)

@@ -88,5 +88,6 @@ def _draw(scan: PreparedScan, T: Array, raster: Raster) -> WallMap:
     for cells, value in ((ground, True), (taken, False)):
         i, j = cells.astype(np.int64).T + half
         free[i, j] = value
-    facing = facing / np.linalg.norm(facing, axis=1, keepdims=True)
-    return WallMap(T, walls, np.asarray(facing, np.float64), taken * cell_m, np.asarray((np.argwhere(free) - half) * cell_m, np.float64))
+    facing = np.asarray(facing / np.linalg.norm(facing, axis=1, keepdims=True), np.float64)
+    middles = np.asarray((np.argwhere(free) - half) * cell_m, np.float64)
+    return WallMap(T, walls, facing, taken * cell_m, middles)

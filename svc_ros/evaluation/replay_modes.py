@@ -6,6 +6,7 @@ import importlib.util
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 
+from svc_ros.core.descriptors import load_descriptors
 from svc_ros.core.errors import InputError, MissingDependencyError
 from svc_ros.evaluation.replay_job import ReplayJob
 from svc_ros.evaluation.replay_reference import Reference, check_evo
@@ -42,12 +43,13 @@ class Replay:
 
 
 def open_replay(job: ReplayJob, bag: Bag, topic: str, known: Sequence[ReplayedPair]) -> Replay:
-    """Look at all inputs before anything is written. Raises InputError and MissingDependencyError.
+    """Look at all inputs before anything is written. Raises InputError, ConfigError and MissingDependencyError.
 
     known: see `steps_of`.
     """
     if job.report and importlib.util.find_spec("plotly") is None:
         raise MissingDependencyError("report.html needs plotly: pip install plotly, or replay with --no-report")
+    load_descriptors(job.config)
     every = 1 if job.mode == "pair" else job.stride
     part = BagPart(topic, job.start_s, job.duration_s, every, job.sensor_frame)
     (first, last), (begin, end) = part.span_ns(bag), bag.span_ns

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Iterator
 
 from svc_ros.core.config import Config
+from svc_ros.core.descriptors import forget_trees
 from svc_ros.core.registration import extract_features
 from svc_ros.core.scan import Array, Features, PreparedScan
 from svc_ros.pipeline.place import PlaceLook, look_at_place
@@ -39,7 +40,7 @@ class Keyframe:
 
     def forget_searches(self) -> None:
         """Give back the memory of search structures, some times that of the scan; they are built again when needed."""
-        self.scan.memo.clear()
+        forget_trees(self.scan)
 
 
 class KeyframeStore:

@@ -18,7 +18,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from svc_ros.core.config import PRESETS, Config, FieldInfo, preset, unknown_name, walk, with_values
-from svc_ros.core.errors import ConfigError
+from svc_ros.core.descriptors import load_descriptors
+from svc_ros.core.errors import ConfigError, MissingDependencyError
 
 MODES = ("pair", "scan_matching", "loop_closure")
 ODOMETRY = ("own", "topic", "tf")
@@ -100,8 +101,8 @@ _READ_ONLY = (
 class NodeParameters:
     """Declares every parameter of `node` and keeps `config` and `settings` up to date.
 
-    Raises ConfigError on values that are refused at start. `config` and `settings` are frozen and replaced as a
-    whole, so another thread may read them at any time.
+    Raises ConfigError on values that are refused at start, MissingDependencyError for a descriptor that cannot be
+    imported. `config` and `settings` are frozen and replaced as a whole, so another thread may read them at any time.
     """
 
     def __init__(self, node: Node) -> None:
@@ -111,6 +112,7 @@ class NodeParameters:
         )
         base = preset(self.preset_name)
         self.config: Config = with_values(base, {info.name: self._declare(info) for info in walk(base)})
+        load_descriptors(self.config)
         self.settings = _settings(NodeSettings(), {info.name: self._declare(info) for info in OWN})
         self._known = [info.name for info in walk(base)] + [info.name for info in OWN] + ["preset"]
         self._num_config = len(list(walk(base)))
@@ -141,8 +143,8 @@ class NodeParameters:
 
     def _check_change(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
-            self._changed(parameters)
-        except ConfigError as error:
+            load_descriptors(self._changed(parameters)[0])
+        except (ConfigError, MissingDependencyError) as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
