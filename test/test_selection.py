@@ -8,7 +8,7 @@ from assertions import assert_same_bits, assert_same_pose
 from correspondence_cases import KITTI_PAIRS, read_kitti_case
 from scan_cases import T_ROOM, real_pair, room_config, room_scans
 
-from svc_ros.core import decision, paper_rule, se3, selection, shortlist
+from svc_ros.core import decision, methods, paper_rule, se3, selection, shortlist
 from svc_ros.core.config import METHODS, preset, with_values
 from svc_ros.core.hypotheses import generate_hypotheses
 from svc_ros.core.matching import match
@@ -36,7 +36,7 @@ def away(x: float) -> np.ndarray:
 
 
 def test_every_method_of_the_config_can_choose_and_verify():
-    assert set(METHODS) == set(selection.METHODS) == set(selection.VERIFIERS)
+    assert set(METHODS) == set(methods.METHODS) == set(methods.VERIFIERS)
 
 
 @pytest.mark.parametrize("method", METHODS)
