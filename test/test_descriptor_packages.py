@@ -144,7 +144,8 @@ def test_real_correspondences_come_through_a_description(shared_data, pair, tmp_
     write_package(tmp_path, "of_files", CORRESPONDENCES_OF_FILES, of_files="describe")
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("SVC_ROS_TEST_CORRESPONDENCES", str(folder))
-    values = {"matching.more_descriptors": "of_files", "matching.max_correspondences": 6000}
+    values = {"matching.more_descriptors": "of_files", "matching.max_correspondences": 6000,
+              "hypotheses.levelled_poses": 0}  # fmt: skip
     config = with_values(preset("lidar_outdoor"), values)
     source, target = (undescribed(folder, f"{pair}_{side}", config) for side in ("src", "dst"))
     given, T = read_kitti_case(shared_data, pair)

@@ -49,7 +49,7 @@ def find_pose(pair: Pair, matcher: Matcher) -> RegistrationResult:
     """Look, up to three times, until a pose is accepted; else the best of all that was seen, judged."""
     levels = [] if matcher.alone else pair.levels()
     # First look: what a part of the points agrees on; that is enough for most pairs.
-    seen = _look_at_few(pair, matcher)
+    seen = _look_at_few(pair, matcher.few())
     if seen.promising or (len(seen) and not levels):
         result = choose_best(pair, seen.contenders())
         if result.accepted:
@@ -70,13 +70,9 @@ def find_pose(pair: Pair, matcher: Matcher) -> RegistrationResult:
     return choose_best(pair, seen.T_target_source[: pair.config.shortlist.max_poses])
 
 
-def _look_at_few(pair: Pair, matcher: Matcher) -> RoughPoses:
-    """The best distinct poses of the matches of a part of the points; none where all matches are asked for at once."""
-    correspondences = matcher.few()
-    if correspondences is None:
-        return _NONE
-    hypotheses = pair.hypotheses([correspondences], generate_hypotheses)
-    return _look_at_shortlist(pair, hypotheses, correspondences, 0)
+def _look_at_few(pair: Pair, matches: list[Correspondences]) -> RoughPoses:
+    """The best distinct poses of these matches."""
+    return _look_at_shortlist(pair, pair.hypotheses(matches, generate_hypotheses), matches, 0)
 
 
 def _look_at_all(pair: Pair, matches: list[Correspondences]) -> RoughPoses:
@@ -84,14 +80,12 @@ def _look_at_all(pair: Pair, matches: list[Correspondences]) -> RoughPoses:
 
     At low overlap a right pose has hardly more inliers or overlap than wrong ones; its free sight lines tell it.
     """
-    hypotheses = pair.hypotheses(matches, pool_hypotheses)
-    return _look_at_shortlist(
-        pair, hypotheses, Correspondences.of_all(matches), pair.config.shortlist.rough_poses
-    )  # fmt: skip
+    more = pair.config.shortlist.rough_poses
+    return _look_at_shortlist(pair, pair.hypotheses(matches, pool_hypotheses), matches, more)
 
 
 def _look_at_shortlist(
-    pair: Pair, hypotheses: HypothesisSet, correspondences: Correspondences, more: int
+    pair: Pair, hypotheses: HypothesisSet, matches: list[Correspondences], more: int
 ) -> RoughPoses:
     """The shortlist, and `more` hypotheses by how far the scans agree, all looked at roughly."""
     if len(hypotheses) == 0:
@@ -99,7 +93,7 @@ def _look_at_shortlist(
     config = pair.config
     with pair.watch.stage("shortlist"):
         by_agreement = shortlist.order_by_agreement(hypotheses.T_target_source, pair.source, pair.target, config)
-        starts = shortlist.shortlist(hypotheses, correspondences, by_agreement, config)
+        starts = shortlist.shortlist(hypotheses, Correspondences.of_all(matches), by_agreement, config)
         wide = by_agreement[shortlist.select_distinct(by_agreement, config.shortlist, more)]
     with pair.watch.stage("rough_look"):
         return _rough(pair, np.concatenate((starts, wide)))

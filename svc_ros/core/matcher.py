@@ -14,8 +14,8 @@ from svc_ros.core.scan import Correspondences, Features
 class Matcher(Protocol):
     """Where the correspondences of a pair come from."""
 
-    def few(self) -> Correspondences | None:
-        """Of a part of the points; None where that would be all."""
+    def few(self) -> list[Correspondences]:
+        """Of a part of the points; all where there are few of them."""
 
     def all(self) -> list[Correspondences]:
         """Of all points, a set of each descriptor."""
@@ -33,9 +33,9 @@ class Given:
     def __init__(self, correspondences: Correspondences) -> None:
         self._correspondences = correspondences
 
-    def few(self) -> Correspondences | None:
-        """None: they are all there is."""
-        return None
+    def few(self) -> list[Correspondences]:
+        """All of them."""
+        return self.all()
 
     def all(self) -> list[Correspondences]:
         """As they were given."""
@@ -49,20 +49,23 @@ class Described:
 
     def __init__(self, pair: Pair, known: tuple[Features | None, Features | None]) -> None:
         self._pair = pair
+        self._all: list[Correspondences] | None = None
         with pair.watch.stage("features"):
             self._features = tuple(
                 compute_features(scan, pair.config) if features is None else features
                 for scan, features in zip((pair.source, pair.target), known, strict=True)
             )
 
-    def few(self) -> Correspondences | None:
-        """Of about `matching.first_points` of either scan; None where neither has more, or that is 0."""
+    def few(self) -> list[Correspondences]:
+        """Of about `matching.first_points` of either scan; all where neither has more, or that is 0."""
         first = self._pair.config.matching.first_points
-        return self._match(first) if 0 < first < max(map(len, self._features)) else None
+        return [self._match(first)] if 0 < first < max(map(len, self._features)) else self.all()
 
     def all(self) -> list[Correspondences]:
         """Of all points: FPFH first, then each of `matching.more_descriptors`."""
-        return [self._match(None), *self._match_otherwise()]
+        if self._all is None:
+            self._all = [self._match(None), *self._match_otherwise()]
+        return self._all
 
     def _match(self, num_points: int | None) -> Correspondences:
         source, target = self._features
