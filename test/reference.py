@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from svc_ros.core import se3
+
 # --- spatial compatibility ------------------------------------------------------------------------------------
 
 
@@ -245,4 +247,24 @@ def point_to_plane_icp(
         moved = np.eye(4)
         moved[:3, :3], moved[:3, 3] = Rotation.from_rotvec(step[3:]).as_matrix(), step[:3]
         T = moved @ T
+    return T
+
+
+# --- refinement on correspondences ------------------------------------------------------------------------------
+
+
+def refine_on_inliers(T: np.ndarray, x: np.ndarray, y: np.ndarray, threshold: float, eps: float, rounds: int):
+    """The pose after weighted least squares on its inliers, again and again until their number stays the same."""
+    previous = -1
+    for _ in range(rounds):
+        residual = length(x @ T[:3, :3].T + T[:3, 3] - y)
+        inlier = residual < threshold
+        if inlier.sum() in (previous, 0):
+            break
+        previous = int(inlier.sum())
+        weights = 1.0 / (1.0 + (residual[inlier] / eps) ** 2)
+        poses, valid = se3.kabsch(x[None, inlier], y[None, inlier], weights[None])
+        if not valid[0]:
+            break
+        T = poses[0]
     return T

@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pytest
+import reference
 from assertions import assert_same_bits, assert_same_pose
 from correspondence_cases import T_TRUE, random_case
 from scan_cases import T_ROOM, room_config, room_scans
@@ -16,6 +18,7 @@ from svc_ros.core.config import HypothesisConfig, ShortlistConfig
 from svc_ros.core.hypotheses import generate_hypotheses
 from svc_ros.core.matching import match
 from svc_ros.core.registration import extract_features
+from svc_ros.core.scan import Correspondences
 
 LIMITS = ShortlistConfig(distinct_rotation_deg=5.0, distinct_translation_m=1.0)
 
@@ -78,3 +81,26 @@ def test_the_shortlist_is_short_distinct_and_holds_the_right_pose():
     assert len(stage.select_distinct(found, config.shortlist, 6)) == len(found)
     errors = np.array([se3.pose_error(T, T_ROOM) for T in found])
     assert ((errors[:, 0] < 5) & (errors[:, 1] < 0.3)).any()
+
+
+@pytest.mark.parametrize("rounds", [0, 1, 3, 20])
+def test_the_kernel_refines_as_its_twin(rounds):
+    rng, config = np.random.default_rng(7), dataclasses.replace(LIMITS, correspondence_rounds=rounds)
+    for seed in range(20):
+        given = random_case(200, seed=seed)
+        start = T_TRUE @ pose(rng.normal() * 3, rng.normal() * 0.3, rng.normal() * 0.3)
+        found = stage.refine_on_correspondences(start, given, HypothesisConfig(), config)
+        twin = reference.refine_on_inliers(
+            start, given.source_points, given.target_points, 0.6, config.correspondence_eps_m, rounds
+        )
+        np.testing.assert_allclose(found, twin, atol=1e-9)
+
+
+@pytest.mark.parametrize("points", ["line", "point", "two"])
+def test_inliers_that_determine_no_pose_leave_it_as_it_was(points):
+    t = {"line": np.linspace(0, 9, 30), "point": np.zeros(30), "two": np.array([0.0, 1.0])}[points]
+    x = t[:, None] * (1.0, 0.5, 0.2)
+    found = stage.refine_on_correspondences(np.eye(4), Correspondences.from_points(x, x), HypothesisConfig(), LIMITS)
+    twin = reference.refine_on_inliers(np.eye(4), x, x, 0.6, LIMITS.correspondence_eps_m, 20)
+    np.testing.assert_array_equal(found, np.eye(4))
+    np.testing.assert_array_equal(twin, np.eye(4))

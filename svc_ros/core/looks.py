@@ -14,6 +14,7 @@ import numpy as np
 from svc_ros.core import shortlist
 from svc_ros.core.hypotheses import generate_hypotheses, pool_hypotheses
 from svc_ros.core.levelled_poses import find_levelled_poses
+from svc_ros.core.levelling import Level
 from svc_ros.core.matcher import Matcher
 from svc_ros.core.pair import Pair
 from svc_ros.core.result import RegistrationResult
@@ -47,15 +48,14 @@ class RoughPoses:
 
 def find_pose(pair: Pair, matcher: Matcher) -> RegistrationResult:
     """Look, up to three times, until a pose is accepted; else the best of all that was seen, judged."""
-    levels = [] if matcher.alone else pair.levels()
     # First look: what a part of the points agrees on; that is enough for most pairs.
     seen = _look_at_few(pair, matcher.few())
-    if seen.promising or (len(seen) and not levels):
+    if seen.promising or (len(seen) > 0 and not _level(pair, matcher)):
         result = choose_best(pair, seen.contenders())
         if result.accepted:
             return result
     # Second look: every turn and shift on the ground. If nothing is seen now, there is nothing to be seen.
-    if levels:
+    if levels := _level(pair, matcher):
         seen = _join(pair, seen, _look_at_levelled(pair))
         at_an_end = not (seen.promising or pair.config.matching.more_descriptors) and all(L.sure for L in levels)
         if seen.promising or at_an_end:
@@ -68,6 +68,11 @@ def find_pose(pair: Pair, matcher: Matcher) -> RegistrationResult:
     if len(seen) == 0:
         return pair.unanswered(matches)
     return choose_best(pair, seen.T_target_source[: pair.config.shortlist.max_poses])
+
+
+def _level(pair: Pair, matcher: Matcher) -> list[Level]:
+    """How both scans stand on the ground; empty where a second look has nothing to go by."""
+    return [] if matcher.alone else pair.levels()
 
 
 def _look_at_few(pair: Pair, matches: list[Correspondences]) -> RoughPoses:

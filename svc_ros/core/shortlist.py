@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from svc_ros.core import se3
+from svc_ros.core import agreement_kernels, se3
 from svc_ros.core.config import Config, HypothesisConfig, ShortlistConfig
+from svc_ros.core.parallel import on_all_processors
 from svc_ros.core.prescore import prescore
 from svc_ros.core.scan import Array, Correspondences, HypothesisSet, IndexArray, PreparedScan
 
@@ -38,20 +39,12 @@ def refine_on_correspondences(
 
     At most that many rounds; as many as configured unless told otherwise.
     """
-    x, y = correspondences.source_points, correspondences.target_points
-    previous = -1
-    for _ in range(config.correspondence_rounds if rounds < 0 else rounds):
-        residual = np.linalg.norm(se3.apply(T, x) - y, axis=1)
-        inlier = residual < hypotheses.inlier_threshold_m
-        if inlier.sum() in (previous, 0):
-            break
-        previous = int(inlier.sum())
-        weights = 1.0 / (1.0 + (residual[inlier] / config.correspondence_eps_m) ** 2)
-        poses, valid = se3.kabsch(x[None, inlier], y[None, inlier], weights[None])
-        if not valid[0]:
-            break
-        T = poses[0]
-    return T
+    refined = np.array(T, np.float64)
+    agreement_kernels.refine(
+        refined, correspondences.source_points, correspondences.target_points, hypotheses.inlier_threshold_m,
+        config.correspondence_eps_m, config.correspondence_rounds if rounds < 0 else rounds,
+    )  # fmt: skip
+    return refined
 
 
 def order_by_agreement(T: Array, source: PreparedScan, target: PreparedScan, config: Config) -> Array:
@@ -74,7 +67,9 @@ def shortlist(
     poses = np.concatenate((by_rank, first))
     for rounds in (min(3, limits.correspondence_rounds), limits.correspondence_rounds):  # many soon become one
         poses = np.array(
-            [refine_on_correspondences(T, correspondences, config.hypotheses, limits, rounds) for T in poses]
+            on_all_processors(
+                lambda T, n=rounds: refine_on_correspondences(T, correspondences, config.hypotheses, limits, n), poses
+            )
         )
         poses = poses[select_distinct(poses, limits, limits.max_poses)]
     return poses
