@@ -19,7 +19,7 @@ from svc_ros.core.matcher import Matcher
 from svc_ros.core.pair import Pair
 from svc_ros.core.result import RegistrationResult
 from svc_ros.core.scan import Array, Correspondences, HypothesisSet
-from svc_ros.core.selection import choose_best, look_roughly
+from svc_ros.core.selection import choose_best, dismiss, look_roughly
 
 _HOPELESS = float(np.log(8.0))  # a pose that promises less by this can neither win nor cast doubt on the winner
 _PROMISING = -6.0  # log odds after a rough look; no right pose between level scans was seen to promise less
@@ -57,11 +57,14 @@ def find_pose(pair: Pair, matcher: Matcher) -> RegistrationResult:
     # Second look: every turn and shift on the ground. If nothing is seen now, there is nothing to be seen.
     if levels := _level(pair, matcher):
         seen = _join(pair, seen, _look_at_levelled(pair))
-        at_an_end = not (seen.promising or pair.config.matching.more_descriptors) and all(L.sure for L in levels)
-        if seen.promising or at_an_end:
-            result = choose_best(pair, seen.contenders() if seen.promising else seen.T_target_source[:_LAST_TRIES])
-            if result.accepted or at_an_end:
+        if seen.promising:
+            result = choose_best(pair, seen.contenders())
+            if result.accepted:
                 return result
+        elif all(level.sure for level in levels) and not pair.config.matching.more_descriptors:
+            dismissed = dismiss(pair, seen.T_target_source[:_LAST_TRIES])
+            if dismissed is not None:
+                return dismissed
     # Last look: the matches of all points, thresholds further apart, many more poses.
     matches = matcher.all()
     seen = _join(pair, seen, _look_at_all(pair, matches))

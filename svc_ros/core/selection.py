@@ -54,6 +54,17 @@ def choose_best(pair: Pair, starts: Array) -> RegistrationResult:
     return _judge(pair, settled, [e for e, same in zip(evidence, near, strict=True) if not same])
 
 
+def dismiss(pair: Pair, starts: Array) -> RegistrationResult | None:
+    """The verdict on poses (S, 4, 4) that promise nothing, by the best of them; None if that is accepted after all."""
+    limits = pair.config.shortlist
+    refined = [pair.refine(T, limits.icp_points) for T in starts]
+    pair.counts["judged"] = pair.counts.get("judged", 0) + len(refined)
+    T = max(zip(map(pair.promise, pair.glance_at_all(refined)), refined, strict=True), key=lambda item: item[0])[1]
+    evidence = pair.look(T)
+    decided = decision.decide(evidence, pair.config.decision)
+    return None if decided.verdict is Verdict.ACCEPTED else pair.answer(T, evidence, decided)
+
+
 def verify_svc(pair: Pair, T: Array) -> RegistrationResult:
     """Refine the pose and judge it; one that refinement moves away is not the pose that was asked about."""
     refined = pair.refine(T, pair.config.shortlist.icp_last_points)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -66,10 +68,10 @@ def shortlist(
     first = by_agreement[select_distinct(by_agreement, limits, limits.max_poses)]
     poses = np.concatenate((by_rank, first))
     for rounds in (min(3, limits.correspondence_rounds), limits.correspondence_rounds):  # many soon become one
-        poses = np.array(
-            on_all_processors(
-                lambda T, n=rounds: refine_on_correspondences(T, correspondences, config.hypotheses, limits, n), poses
-            )
-        )
+        refine = partial(
+            refine_on_correspondences, correspondences=correspondences, hypotheses=config.hypotheses, config=limits,
+            rounds=rounds,
+        )  # fmt: skip
+        poses = np.array(on_all_processors(refine, poses))
         poses = poses[select_distinct(poses, limits, limits.max_poses)]
     return poses

@@ -69,15 +69,16 @@ def correlate(target, source, quarter, contradiction, spectrum):  # type: ignore
     target, source: (2, S, S), the Fourier transforms of both images; those of the target hold walls against walls and
     taken cells against free ones. An image that is turned by a quarter has a transform that is turned as well.
     """
-    size = spectrum.shape[0]
-    turn = (1.0 + 0j, 1j, -1.0 + 0j, -1j)[quarter]
+    size, turn = spectrum.shape[0], np.complex64(1.0)
+    for _ in range(quarter):
+        turn *= np.complex64(-1j)
     for u in range(size):
         for v in range(size):
             a, b = u, v
             for _ in range(quarter):
-                a, b = b, (size - a) % size
-            agreeing = target[0, u, v] * (turn * source[0, a, b]).conjugate()
-            spectrum[u, v] = agreeing - contradiction * target[1, u, v] * source[1, a, b].conjugate()
+                a, b = b, (size - a if a > 0 else 0)
+            agreeing = turn * target[0, u, v] * source[0, a, b].conjugate()
+            spectrum[u, v] = agreeing - contradiction * (target[1, u, v] * source[1, a, b].conjugate())
 
 
 @_jit
