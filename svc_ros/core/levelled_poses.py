@@ -8,11 +8,14 @@ and that is a product of Fourier transforms. It needs no descriptors, so that it
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
 from svc_ros.core import wall_map_kernels
+from svc_ros.core.levelling import Level
 from svc_ros.core.parallel import on_all_processors
 from svc_ros.core.scan import Array, PreparedScan
 from svc_ros.core.se3 import invert, make_pose
@@ -25,12 +28,11 @@ _BLUR_CELLS = 0.6
 _NEAR_TURNS, _NEAR_CELLS = 2, 2  # peaks that are no farther apart are one
 
 
-def find_levelled_poses(source: PreparedScan, target: PreparedScan, limit: int) -> Array:
-    """At most `limit` distinct poses T_target_source (H, 4, 4), best first; none where a scan sees no ground."""
+def find_levelled_poses(source: PreparedScan, target: PreparedScan, levels: Sequence[Level], limit: int) -> Array:
+    """At most `limit` distinct poses T_target_source (H, 4, 4), best first, of scans that stand so (source, target)."""
     raster = choose_raster(source, target)
-    maps = on_all_processors(lambda scan: wall_map(scan, raster), (source, target))
-    if maps[0] is None or maps[1] is None or limit == 0:
-        return np.zeros((0, 4, 4))
+    ways = [(source, levels[0].T_level_scan), (target, levels[1].T_level_scan)]
+    maps = on_all_processors(lambda way: wall_map(*way, raster), ways)
     peaks = _distinct(score_all(maps[0], maps[1], raster), limit, raster)
     return np.array([_pose(maps[0], maps[1], peak, raster) for peak in peaks]).reshape(-1, 4, 4)
 

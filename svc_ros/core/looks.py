@@ -56,7 +56,7 @@ def find_pose(pair: Pair, matcher: Matcher) -> RegistrationResult:
             return result
     # Second look: every turn and shift on the ground. If nothing is seen now, there is nothing to be seen.
     if levels := _level(pair, matcher):
-        seen = _join(pair, seen, _look_at_levelled(pair))
+        seen = _join(pair, seen, _look_at_levelled(pair, levels))
         if seen.promising:
             result = choose_best(pair, seen.contenders())
             if result.accepted:
@@ -107,10 +107,10 @@ def _look_at_shortlist(
         return _rough(pair, np.concatenate((starts, wide)))
 
 
-def _look_at_levelled(pair: Pair) -> RoughPoses:
+def _look_at_levelled(pair: Pair, levels: list[Level]) -> RoughPoses:
     """The best turns and shifts of two scans that see the ground."""
     with pair.watch.stage("levelled"):
-        starts = find_levelled_poses(pair.source, pair.target, pair.config.hypotheses.levelled_poses)
+        starts = find_levelled_poses(pair.source, pair.target, levels, pair.config.hypotheses.levelled_poses)
     with pair.watch.stage("rough_look"):
         return _rough(pair, starts)
 

@@ -37,7 +37,8 @@ class Pair:
         if self.config.hypotheses.levelled_poses == 0:
             return []
         with self.watch.stage("levelled"):
-            found = on_all_processors(find_level, (self.source, self.target))
+            z_is_up = self.config.hypotheses.gravity_aligned
+            found = on_all_processors(lambda scan: find_level(scan, z_is_up), (self.source, self.target))
         known = [level for level in found if level is not None]
         return known if len(known) == len(found) else []
 

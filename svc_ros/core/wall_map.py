@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from svc_ros.core import wall_map_kernels
-from svc_ros.core.levelling import find_level
 from svc_ros.core.scan import Array, PreparedScan
 from svc_ros.core.se3 import apply
 
@@ -63,13 +62,13 @@ def _reach_m(scan: PreparedScan) -> float:
     return reach
 
 
-def wall_map(scan: PreparedScan, raster: Raster) -> WallMap | None:
-    """The map of a scan, None where no ground tells which way is up; drawn once a scan and raster."""
-    key = ("wall_map", raster)
-    if key not in scan.memo:
-        level = find_level(scan)
-        scan.memo[key] = None if level is None else _draw(scan, level.T_level_scan, raster)
-    drawn: WallMap | None = scan.memo[key]
+def wall_map(scan: PreparedScan, T_level_scan: Array, raster: Raster) -> WallMap:
+    """The map of a scan that stands so; drawn once a scan and raster."""
+    kept = scan.memo.get(("wall_map", raster))
+    if kept is None or kept[0] is not T_level_scan:
+        kept = T_level_scan, _draw(scan, T_level_scan, raster)
+        scan.memo["wall_map", raster] = kept
+    drawn: WallMap = kept[1]
     return drawn
 
 
