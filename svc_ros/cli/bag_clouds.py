@@ -112,7 +112,7 @@ def _check_preset(notes: CloudNotes) -> list[Finding]:
         return [Finding("scale", "error", f"98 % of the points within {reach:.3g} m", advice)]
     config = choice.config.preprocess
     other = f"; {choice.may_be} may fit as well" if choice.may_be else ""
-    advice = f"--preset auto (the default) chooses by the first clouds, else start with --preset {choice.preset}{other}"
+    advice = f"start with --preset {choice.preset}, or auto, which looks at the first clouds{other}"
     found = f"{choice.preset}: {choice.why}"
     return [Finding("preset", "ok", found, advice), *_check_cut(notes, config), *_check_voxels(notes, config)]
 

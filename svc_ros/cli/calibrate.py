@@ -211,7 +211,7 @@ def _show(console: Console, summary: dict[str, Any]) -> None:
 
     names = ", ".join(one["dataset"] for one in summary["datasets"])
     chosen = summary.get("chosen_preset")
-    which = f" ({chosen['preset']}: {chosen['why']})" if chosen else ""
+    which = f": {chosen['preset']}" if chosen else ""
     head, *rows = border_rows(summary)
     table = Table(*head, title=Text(f"{names}: preset {summary['preset']}{which}"), title_justify="left")
     for row in rows:
