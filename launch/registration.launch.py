@@ -13,7 +13,7 @@ from launch import LaunchDescription
 
 ARGUMENTS = {
     "mode": ("pair", "what the node does: pair, scan_matching or loop_closure"),
-    "preset": ("lidar_outdoor", "defaults of all parameters: lidar_outdoor, lidar_indoor or rgbd_indoor"),
+    "preset": ("lidar_outdoor", "defaults of all parameters: lidar_outdoor, lidar_indoor, rgbd_indoor or auto"),
     "method": ("svc", "how a pose is chosen and judged: svc, svc_paper or sc2"),
     "params_file": ("", "YAML file of parameters; what it sets has precedence over all arguments; '' for none"),
     "source": ("source_points", "topic of the clouds that are aligned (pair, candidates of loop_closure)"),
@@ -37,7 +37,7 @@ ARGUMENTS = {
 SWITCH = ["true", "false"]
 CHOICES = {
     "mode": ["pair", "scan_matching", "loop_closure"],
-    "preset": ["lidar_outdoor", "lidar_indoor", "rgbd_indoor"],
+    "preset": ["lidar_outdoor", "lidar_indoor", "rgbd_indoor", "auto"],
     "method": ["svc", "svc_paper", "sc2"],
     "odometry": ["own", "topic", "tf"],
     **dict.fromkeys(("publish_tf", "process_every", "reliable", "use_sim_time", "rviz"), SWITCH),

@@ -6,6 +6,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from svc_ros.core.auto_preset import choose_preset
     from svc_ros.core.config import Config, preset
     from svc_ros.core.errors import SvcError
     from svc_ros.core.registration import extract_features, prepare, register, verify
@@ -24,6 +25,7 @@ __all__ = [
     "Scan",
     "SvcError",
     "Verdict",
+    "choose_preset",
     "extract_features",
     "prepare",
     "preset",
@@ -34,6 +36,7 @@ __all__ = [
 # Open3D and numba take seconds to import; a name is fetched when it is first asked for, so that
 # `svc_ros --help` and `from svc_ros.io import ...` do not wait for them.
 _HOMES = {
+    "svc_ros.core.auto_preset": ("choose_preset",),
     "svc_ros.core.config": ("Config", "preset"),
     "svc_ros.core.errors": ("SvcError",),
     "svc_ros.core.registration": ("extract_features", "prepare", "register", "verify"),

@@ -451,7 +451,7 @@ class TestTrial:
     ("bag", "wanted"),
     [
         ("depth_ros1_padded_nan/perception_tutorial.bag", "rgbd_indoor"),
-        ("os0_8_10scans_pointcloud2", "lidar_outdoor"),
+        ("os0_8_10scans_pointcloud2", "lidar_indoor"),  # between both, and the other one is named, too
         ("os1_128_pointcloud2_mcap", "lidar_outdoor"),
         ("vlp16_pointcloud2", "lidar_indoor"),
         ("vlp32_pointcloud2", "lidar_indoor"),

@@ -305,12 +305,13 @@ def test_a_bag_without_messages_is_refused_and_one_without_clouds_is_not(tmp_pat
     assert read_decisions(tmp_path / "out") == []
 
 
-def test_the_page_names_what_there_is(runs: dict[str, Path]) -> None:
+def test_the_page_names_what_there_is(runs: dict[str, Path], bag: Path, tmp_path: Path) -> None:
     """docs/replay.md: files, keys of the summary, topics, options."""
     page = (PROJECT_ROOT / "docs" / "replay.md").read_text("utf-8")
     tables = [[cell.strip() for cell in line.strip("|").split("|")] for line in page.splitlines() if line[:1] == "|"]
     named = {name for row in tables for name in re.findall(r"`([^`]+)`", row[0])}
-    summaries = [summary_of(out) for out in runs.values()]
+    chosen = replay_bag(dataclasses.replace(job(bag, tmp_path / "auto"), preset="auto"))
+    summaries = [chosen, *(summary_of(out) for out in runs.values())]
     known = {name for summary in summaries for name in summary} | set(MODES) | OUTPUTS | {"report.html"}
     done = subprocess.run([sys.executable, "-m", "svc_ros", "replay", "--help"], capture_output=True, text=True)
     options = {name.partition(" ")[0] for name in named if name.startswith("--")}

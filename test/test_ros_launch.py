@@ -14,7 +14,7 @@ from conftest import PROJECT_ROOT
 from launch_stand_ins import DeclareLaunchArgument, ExecuteProcess, IncludeLaunchDescription, load, load_real, started
 from test_readme import absolute, node_defaults, rows
 
-from svc_ros.core.config import METHODS, PRESETS, preset, walk
+from svc_ros.core.config import AUTO, METHODS, PRESETS, preset, walk
 
 REGISTRATION = PROJECT_ROOT / "launch" / "registration.launch.py"
 REPLAY = PROJECT_ROOT / "launch" / "replay.launch.py"
@@ -61,7 +61,7 @@ def test_every_argument_is_described_and_its_default_is_a_choice(path, monkeypat
 def test_choices_are_those_of_the_node_and_are_described(path, monkeypatch):
     module = load(path, monkeypatch)
     parameters = (PROJECT_ROOT / "svc_ros/ros/parameters.py").read_text("utf-8")
-    known = {"preset": tuple(PRESETS), "method": tuple(METHODS)}
+    known = {"preset": (*PRESETS, AUTO), "method": tuple(METHODS)}
     for name in ("mode", "odometry"):
         constant = {"mode": "MODES", "odometry": "ODOMETRY"}[name]
         (text,) = re.findall(rf"^{constant} = \((.*)\)$", parameters, re.MULTILINE)

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from descriptor_packages import write_package
+from mini_data import POSES, scan_room
 
 rclpy = pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
 
 from rclpy.context import Context  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
+from ros_bench import Bench, cloud  # noqa: E402
 
+from svc_ros.core.auto_preset import Choice, Outlook  # noqa: E402
 from svc_ros.core.config import Config, preset, walk, with_values  # noqa: E402
 from svc_ros.core.errors import ConfigError, MissingDependencyError  # noqa: E402
+from svc_ros.core.result import Reason  # noqa: E402
+from svc_ros.ros.first_choice import FirstChoice  # noqa: E402
 from svc_ros.ros.parameters import OWN, NodeParameters, NodeSettings  # noqa: E402
 from svc_ros.ros.processes import own_domain_id  # noqa: E402
+from svc_ros.ros.worker import Cloud, DropJob, PairJob  # noqa: E402
 
 pytestmark = pytest.mark.dds
 
@@ -143,3 +150,75 @@ def test_misspelt_parameter_is_reported_with_the_nearest_name(make_node):
 def test_own_parameters_and_settings_are_the_same_names():
     assert {info.name for info in OWN} == set(NodeSettings.__dataclass_fields__)
     assert not {info.name for info in OWN} & {info.name for info in walk(Config())}
+
+
+class TestAuto:
+    ROOM = Choice("lidar_indoor", preset("lidar_indoor"), "near walls", Outlook(12.0, 0.0))
+
+    def test_what_nobody_has_set_follows_the_choice(self, make_node):
+        node = make_node({"preset": "auto", "preprocess.voxel_size_m": 0.4, "method": "sc2"})
+        parameters = NodeParameters(node)
+        assert parameters.awaits_choice
+        assert parameters.config == with_values(Config(), {"preprocess.voxel_size_m": 0.4, "method": "sc2"})
+        node.set_parameters([Parameter("sight_view.tolerance_m", value=0.55)])
+        parameters.take(self.ROOM)
+        given = {"preprocess.voxel_size_m": 0.4, "method": "sc2", "sight_view.tolerance_m": 0.55}
+        assert parameters.config == with_values(preset("lidar_indoor"), given)
+        assert node.get_parameter("preprocess.max_range_m").value == 60.0  # as others see it
+        assert (parameters.preset_name, parameters.choice, parameters.awaits_choice) == ("auto", self.ROOM, False)
+
+    def test_a_choice_that_does_not_go_with_what_was_set_changes_nothing(self, make_node):
+        parameters = NodeParameters(make_node({"preset": "auto", "preprocess.min_range_m": 70.0}))
+        before = parameters.config
+        with pytest.raises(ConfigError, match=r"preset auto chose lidar_indoor: .*min_range_m"):
+            parameters.take(self.ROOM)
+        assert (parameters.config, parameters.awaits_choice) == (before, True)
+
+    def test_a_named_preset_waits_for_nothing(self, make_node):
+        assert not NodeParameters(make_node({"preset": "lidar_outdoor"})).awaits_choice
+
+
+class Waiting:
+    """Parameters of preset auto that note what was chosen."""
+
+    def __init__(self):
+        self.taken = []
+
+    @property
+    def awaits_choice(self):
+        return not self.taken
+
+    def take(self, choice):
+        self.taken.append(choice)
+
+
+def job_of(source, target):
+    """A pair of clouds as it waits for the worker."""
+    return PairJob(Cloud(source, 1, 0.0), Cloud(target, 1, 0.0))
+
+
+def test_the_first_clouds_that_can_be_read_choose_once_and_are_told_once():
+    parameters, said = Waiting(), []
+    first = FirstChoice(parameters, lambda _frame, _stamp: np.zeros(3), said.append)
+    room, broken, none = cloud(scan_room(POSES[0]), 1.0), cloud(np.ones((5, 3)), 1.0), cloud(np.zeros((0, 3)), 1.0)
+    broken.point_step = 7
+    first.settle(DropJob(None, None, Reason.STALE, ""))
+    first.settle(job_of(broken, none))
+    assert (parameters.taken, said) == ([], [])
+    first.settle(job_of(broken, room))
+    first.settle(job_of(room, room))
+    assert [choice.preset for choice in parameters.taken] == ["lidar_indoor"]
+    assert len(said) == 1
+    assert said[0].startswith("preset auto: lidar_indoor, 98 % of the points")
+
+
+def test_the_node_chooses_by_its_first_pair_and_says_so_once(tmp_path, monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    scans = [scan_room(T, seed=k) for k, T in enumerate(POSES)]
+    with Bench(tmp_path, own_domain_id(98), {"preset": "auto", "process_every": "true"}) as bench:
+        decisions = [bench.decide(cloud(scans[1], k), cloud(scans[0], k)) for k in (1.0, 2.0)]
+        status = bench.status()
+        told = bench.process.output()
+    assert [decision["verdict"] for decision in decisions] == ["accepted", "accepted"]
+    assert (status["preset"], status["chosen"]["preset"]) == ("auto", "lidar_indoor")
+    assert told.count("preset auto: lidar_indoor, 98 % of the points") == 1

@@ -88,7 +88,7 @@ def _check_cloud_topic(
         *_check_frames(notes, tree, sensor_frame),
     ]
     if trial and not any(check.level == "error" for check in checks):
-        checks += try_pairs(notes.pairs, suggest_preset(notes))
+        checks += try_pairs(notes.pairs, suggest_preset(notes).preset)
     return [Finding(f"{name} {check.name}", check.level, check.found, check.advice) for check in checks]
 
 

@@ -8,27 +8,19 @@ import numpy as np
 
 from svc_ros.cli.bag_notes import CloudNotes
 from svc_ros.cli.finding import Finding, Level
-from svc_ros.core.config import PRESETS, PreprocessConfig
+from svc_ros.core.auto_preset import NEAREST_M, Choice, choose_by_outlooks
+from svc_ros.core.config import PreprocessConfig
 from svc_ros.core.scan import Array
 
 _MANY = 0.5  # share of dropped points above which somebody should look
-_CAMERA_CONCENTRATION = 0.8  # a depth camera looks one way, a LiDAR around
-_CAMERA_RANGE_M = 8.0
-_INDOOR_RANGE_M = 35.0
-_BETWEEN = 1.5  # a reach within this factor of the border between both LiDAR presets leaves the choice open
 _CROSSED = 0.10  # scans seen from their own sensor have up to 0.05
-_FARTHEST_M, _NARROWEST_M = 1000.0, 0.3  # no sensor of these presets reaches farther, nor so little
+_FARTHEST_M = 1000.0  # no sensor of these presets reaches farther
 _CUT = 0.2  # share of points outside the preset's ranges above which its values do not fit
 
 
-def suggest_preset(notes: CloudNotes) -> str:
-    """A guess from how far and how narrowly the sensor looks; a person knows better. Empty without any points."""
-    if not notes.views:
-        return ""
-    reach, concentration = _reach(notes), float(np.median([view.concentration for view in notes.views]))
-    if concentration > _CAMERA_CONCENTRATION and reach < _CAMERA_RANGE_M:
-        return "rgbd_indoor"
-    return "lidar_indoor" if reach < _INDOOR_RANGE_M else "lidar_outdoor"
+def suggest_preset(notes: CloudNotes) -> Choice:
+    """What `auto` chooses by the clouds that were looked at, which are spread over all of the recording."""
+    return choose_by_outlooks([view.outlook for view in notes.views if view.outlook is not None])
 
 
 def check_clouds(notes: CloudNotes) -> list[Finding]:
@@ -40,7 +32,7 @@ def check_clouds(notes: CloudNotes) -> list[Finding]:
                     "the driver sends old data under new stamps, or the bag was thinned badly")
         )  # fmt: skip
     if notes.views:
-        if suggest_preset(notes) != "rgbd_indoor":  # a depth image is taken at one instant
+        if suggest_preset(notes).preset != "rgbd_indoor":  # a depth image is taken at one instant
             found.append(_check_times(notes))
         found += [*_check_free(notes), *_check_viewpoint(notes), *_check_preset(notes)]
     return found
@@ -111,15 +103,17 @@ def _check_viewpoint(notes: CloudNotes) -> list[Finding]:
 
 
 def _check_preset(notes: CloudNotes) -> list[Finding]:
-    reach, name = _reach(notes), suggest_preset(notes)
-    if not _NARROWEST_M < reach < _FARTHEST_M:
-        advice = "expected metres: millimetres, or a map's coordinates?" if reach > 1.0 else "expected metres"
-        return [Finding("scale", "error", f"99 % of the points within {reach:.3g} m", advice)]
-    config = PRESETS[name].preprocess
-    found = f"{name} (99 % of the points within {reach:.1f} m)"
-    between = name != "rgbd_indoor" and max(reach, _INDOOR_RANGE_M) < _BETWEEN * min(reach, _INDOOR_RANGE_M)
-    other = "lidar_outdoor" if name == "lidar_indoor" else "lidar_indoor"
-    advice = f"start with --preset {name}" + (f"; {other} may fit as well" if between else "")
+    choice = suggest_preset(notes)
+    if choice.outlook is None:
+        return [Finding("scale", "error", f"no point beyond {NEAREST_M:g} m", "expected metres")]
+    reach = choice.outlook.reach_m
+    if reach >= _FARTHEST_M:
+        advice = "expected metres: millimetres, or a map's coordinates?"
+        return [Finding("scale", "error", f"98 % of the points within {reach:.3g} m", advice)]
+    config = choice.config.preprocess
+    other = f"; {choice.may_be} may fit as well" if choice.may_be else ""
+    advice = f"start with --preset {choice.preset}, or auto, which looks at the first clouds{other}"
+    found = f"{choice.preset}: {choice.why}"
     return [Finding("preset", "ok", found, advice), *_check_cut(notes, config), *_check_voxels(notes, config)]
 
 
@@ -156,7 +150,3 @@ def _num_voxels(points: Array, config: PreprocessConfig) -> int:
 
 def _shown(counts: Sequence[int]) -> str:
     return f"{min(counts)}" if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
-
-
-def _reach(notes: CloudNotes) -> float:
-    return float(np.median([view.reach_m for view in notes.views]))

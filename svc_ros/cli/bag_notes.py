@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from svc_ros.core.auto_preset import Outlook, look_out
 from svc_ros.core.errors import InputError, TransformUnavailableError
 from svc_ros.core.scan import Array
 from svc_ros.io.bags import Bag
@@ -30,15 +31,13 @@ _BEHIND_RATIO, _BEHIND_M = 1.5, 1.0  # a point so much behind another one in its
 class View:
     """One cloud as seen by its sensor.
 
-    points: (N, 3) [m], relative to the sensor; reach_m: 99th percentile of range; concentration: length of the mean
-    viewing direction (0: all around, 1: one way); crossed_share: of the directions that hold several points, those with
-    one far behind another; num_free: directions that are told to be free of any return; sweep_s: span of the points'
-    times, or None.
+    points: (N, 3) [m], relative to the sensor; outlook: by which a preset is chosen, None without points to tell;
+    crossed_share: of the directions that hold several points, those with one far behind another; num_free: directions
+    that are told to be free of any return; sweep_s: span of the points' times, or None.
     """
 
     points: Array
-    reach_m: float
-    concentration: float
+    outlook: Outlook | None
     crossed_share: float
     num_free: int
     sweep_s: float | None
@@ -130,12 +129,9 @@ def _layout(message: Any) -> str:
 def _view(reading: CloudReading) -> View:
     scan = reading.scan
     points = scan.points - scan.sensor_origin
-    ranges = np.linalg.norm(points, axis=1)
-    directions = points[ranges > 0] / ranges[ranges > 0, None]
     times, free = scan.point_times_s, scan.free_directions
     return View(
-        points, float(np.quantile(ranges, 0.99)),
-        float(np.linalg.norm(directions.mean(0))) if len(directions) else 0.0, crossed_share(points),
+        points, look_out(scan.points, scan.sensor_origin), crossed_share(points),
         0 if free is None else len(free), None if times is None or not len(times) else float(np.ptp(times)),
     )  # fmt: skip
 

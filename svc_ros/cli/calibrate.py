@@ -6,6 +6,7 @@ import importlib.util
 import tempfile
 import textwrap
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -24,7 +25,7 @@ from svc_ros.cli.console import (
     working,
     write_json,
 )
-from svc_ros.cli.evaluate import LimitOption, WorkersOption
+from svc_ros.cli.evaluate import FIRST_SCANS, LimitOption, WorkersOption, choose_for
 from svc_ros.cli.options import (
     DEFAULT_PRESET,
     ConfigOption,
@@ -32,12 +33,14 @@ from svc_ros.cli.options import (
     MethodOption,
     PresetOption,
     Settings,
-    resolve_settings,
+    choose_from,
+    read_wanted,
 )
 from svc_ros.cli.replay import ReferenceFrameOption, SensorOption, TopicOption
 from svc_ros.core.errors import InputError, MissingDependencyError
 
 if TYPE_CHECKING:
+    from svc_ros.core.auto_preset import Choice
     from svc_ros.core.config import Config
     from svc_ros.evaluation.bag_pairs import BagSource
     from svc_ros.io.datasets import Dataset
@@ -109,11 +112,17 @@ def calibrate(
 
             goal = Goal(max_wrong_rate, confidence, settings.config.decision.min_probability)
             summary = calibrate(sets, CalibrationOptions(goal, register, limit, workers, seed), on_progress)
-    summary = {"preset": settings.preset, "method": settings.config.method, "seed": seed, **summary}
+    summary = {**_told(settings), "method": settings.config.method, "seed": seed, **summary}
     write_json(summary, json_target)
     _show(summary_console(json_target), summary)
     if out is not None:
         _write(out, summary, settings, (page, best_effort, _ranges(sets)))
+
+
+def _told(settings: Settings) -> dict[str, Any]:
+    """The preset, and what `auto` chose under a name of its own: `chosen` is the calibrated value's row."""
+    told = settings.told()
+    return {"chosen_preset" if name == "chosen" else name: value for name, value in told.items()}
 
 
 def _check_page(wanted: bool) -> None:
@@ -147,12 +156,29 @@ def _settings(
     """One configuration for all, as one value comes out of it."""
     from svc_ros.io.datasets import Dataset
 
-    names = {source.preset: source.name for source in sources if isinstance(source, Dataset)} or {DEFAULT_PRESET: ""}
-    found = [resolve_settings(preset, method, config_file, default_preset=name) for name in names]
-    if len({settings.preset for settings in found}) > 1:
-        listed = ", ".join(f"{name} ({dataset})" for name, dataset in names.items())
+    names = {source: source.preset if isinstance(source, Dataset) else DEFAULT_PRESET for source in sources}
+    wanted = {source: read_wanted(preset, method, config_file, name) for source, name in names.items()}
+    found = [one.settle(partial(_choose, source)) for source, one in wanted.items()]
+    bases = {
+        settings.base: source.name if isinstance(source, Dataset) else str(source.bag)
+        for settings, source in zip(found, sources, strict=True)
+    }
+    if len(bases) > 1:
+        listed = ", ".join(f"{base} ({name})" for base, name in bases.items())
         raise InputError(f"calibrate: expected data of one preset, found {listed}: calibrate each, or name a --preset")
     return found[0]
+
+
+def _choose(source: Dataset | BagSource) -> Choice:
+    from svc_ros.io.bags import Bag
+    from svc_ros.io.datasets import Dataset
+    from svc_ros.pipeline.replay_clouds import BagPart, first_scans
+
+    if isinstance(source, Dataset):
+        return choose_for(source)
+    with Bag(source.bag) as bag:
+        part = BagPart(bag.resolve_cloud_topic(source.topic), sensor_frame=source.sensor_frame)
+        return choose_from(first_scans(bag, part, FIRST_SCANS))
 
 
 def _opened(
@@ -166,7 +192,7 @@ def _opened(
         if isinstance(source, BagSource):
             (folder / str(k)).mkdir()
             with working(f"choosing pairs of {source.bag.name}"):
-                source = dataset_of_bag(source, settings.preset, settings.config, num, folder / str(k))
+                source = dataset_of_bag(source, settings.base, settings.config, num, folder / str(k))
         sets.append((source, settings.config))
     return sets
 
@@ -184,8 +210,10 @@ def _show(console: Console, summary: dict[str, Any]) -> None:
     from svc_ros.evaluation.calibration_summary import statement
 
     names = ", ".join(one["dataset"] for one in summary["datasets"])
+    chosen = summary.get("chosen_preset")
+    which = f": {chosen['preset']}" if chosen else ""
     head, *rows = border_rows(summary)
-    table = Table(*head, title=Text(f"{names}: preset {summary['preset']}"), title_justify="left")
+    table = Table(*head, title=Text(f"{names}: preset {summary['preset']}{which}"), title_justify="left")
     for row in rows:
         table.add_row(*map(Text, row))
     console.print(table)
@@ -209,7 +237,7 @@ def _write(out: Path, summary: dict[str, Any], settings: Settings, how: tuple[bo
         lines = [f"svc_ros calibrate on {names}", statement(summary)]
         lines += [f"Judged with the ranges of the data: {ranges}"] if ranges else []
         comment = "\n".join(textwrap.fill(line, 116) for line in lines)
-        text = calibrated_yaml(summary, settings.preset, settings.config, comment)
+        text = calibrated_yaml(summary, settings.base, settings.config, comment)
         (out / "calibration.yaml").write_text(text, encoding="utf-8")
     else:
         (out / "calibration.yaml").unlink(missing_ok=True)  # of an earlier run, which these data do not bear out

@@ -8,11 +8,13 @@ from typing import Annotated
 
 import typer
 
-from svc_ros.cli.options import DEFAULT_PRESET, ConfigOption, MethodOption, resolve_settings
+from svc_ros.cli.options import ConfigOption, MethodOption, read_wanted
 from svc_ros.core.config import PRESETS
 
+_PRINTED = "lidar_outdoor"
+
 NameArgument = Annotated[
-    str | None, typer.Argument(metavar="[PRESET]", help=f"One of {', '.join(PRESETS)}; {DEFAULT_PRESET} by default.")
+    str | None, typer.Argument(metavar="[PRESET]", help=f"One of {', '.join(PRESETS)}; {_PRINTED} by default.")
 ]
 OutputOption = Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write to a file, not to stdout.")]
 
@@ -26,7 +28,7 @@ def config(
     """Print a preset as YAML, with units and ranges: a file to change and to pass as --config."""
     from svc_ros.io.config_yaml import config_to_yaml
 
-    settings = resolve_settings(preset, method, config_file)
+    settings = read_wanted(preset, method, config_file, _PRINTED).settle()
     text = config_to_yaml(settings.config, settings.preset)
     if out is None:
         sys.stdout.write(text)

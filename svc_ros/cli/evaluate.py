@@ -19,13 +19,17 @@ from svc_ros.cli.options import (
     PresetOption,
     SchedulerOption,
     Settings,
-    resolve_settings,
+    choose_from,
+    read_wanted,
 )
 from svc_ros.core.errors import InputError
 
 if TYPE_CHECKING:
+    from svc_ros.core.auto_preset import Choice
     from svc_ros.evaluation.runner import Crew
-    from svc_ros.io.datasets import Dataset
+    from svc_ros.io.datasets import CandidatePair, Dataset, Pair
+
+FIRST_SCANS = 4  # by which `auto` chooses for a whole data set
 
 FoldersArgument = Annotated[
     list[Path], typer.Argument(metavar="DIR...", help="Folders with a dataset.json, or a benchmark's (--suite).")
@@ -69,7 +73,8 @@ def evaluate(
     if scheduler is not None and workers != 1:
         raise InputError("evaluate: expected either --workers or --scheduler, found both")
     datasets = [_read(folder, suite, correspondences, refined, scheduler) for folder in folders]
-    settings = [resolve_settings(preset, method, config_file, default_preset=d.preset) for d in datasets]
+    wanted = [read_wanted(preset, method, config_file, default_preset=d.preset) for d in datasets]
+    settings = [w.settle(partial(choose_for, d)) for w, d in zip(wanted, datasets, strict=True)]
     crew = workers if scheduler is None else _crew(scheduler, datasets)
     with progress(f"evaluating {', '.join(dataset.name for dataset in datasets)}") as on_progress:
         from svc_ros.evaluation.runner import evaluate_datasets
@@ -99,6 +104,13 @@ def _read(folder: Path, suite: str | None, given: Path | None, refined: Path | N
     return dataclasses.replace(dataset, correspondences=given)
 
 
+def choose_for(dataset: Dataset) -> Choice:
+    """What `auto` makes of a data set, by the first scans of its pairs: all of its pairs share one configuration."""
+    pairs: list[Pair | CandidatePair] = [*dataset.pairs, *dataset.negatives, *dataset.candidates]
+    names = dict.fromkeys(name for pair in pairs for name in (pair.source, pair.target))
+    return choose_from([dataset.read_scan(name) for name in list(names)[:FIRST_SCANS]])
+
+
 def _crew(scheduler: str, datasets: Sequence[Dataset]) -> Crew:
     from svc_ros.evaluation.distributed import run_over
 
@@ -108,7 +120,7 @@ def _crew(scheduler: str, datasets: Sequence[Dataset]) -> Crew:
 
 def _name_presets(reports: Sequence[dict[str, Any]], settings: Sequence[Settings]) -> None:
     for report, used in zip(reports, settings, strict=True):
-        report["preset"] = used.preset
+        report.update(used.told())
 
 
 def _joined(reports: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -119,7 +131,9 @@ def _joined(reports: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _show_report(console: Console, report: Mapping[str, Any]) -> None:
-    title = f"{report['dataset']}: method {report['method']}, preset {report['preset']}"
+    chosen = report.get("chosen")
+    which = f": {chosen['preset']}, {chosen['why']}" if chosen else ""
+    title = f"{report['dataset']}: method {report['method']}, preset {report['preset']}{which}"
     console.print(Text(title, "bold"), soft_wrap=True)
     sections = {"registration": report["registration"], "negatives": report["negatives"]}
     for name, section in sections.items():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,7 +10,7 @@ import typer
 
 from svc_ros.cli.console import make_output_folder, note, progress
 from svc_ros.cli.exit_codes import INTERRUPTED
-from svc_ros.cli.options import ConfigOption, MethodOption, PresetOption, SchedulerOption, resolve_settings
+from svc_ros.cli.options import ConfigOption, MethodOption, PresetOption, SchedulerOption, read_wanted
 from svc_ros.cli.replay_console import print_summary, replay_progress, stop_request
 from svc_ros.core.errors import InputError
 
@@ -97,10 +97,10 @@ def replay(
     from svc_ros.evaluation.replay_job import ReplayJob
 
     paths = expand_bags(bags)
-    settings = resolve_settings(preset, method, config_file)
+    wanted = read_wanted(preset, method, config_file)
     job = ReplayJob(
-        paths[0], out, settings.config, settings.preset, mode, topic, start, duration, stride, max_rate, sensor_frame,
-        odometry_frame, reference, reference_frame, with_input, resume, report,
+        paths[0], out, wanted.first_fit(), wanted.preset, mode, topic, start, duration, stride, max_rate, sensor_frame,
+        odometry_frame, reference, reference_frame, with_input, resume, report, wanted.given,
     )  # fmt: skip
     if len(paths) == 1 and scheduler is None:
         interrupted = _replay_one(job)
@@ -117,7 +117,7 @@ def _replay_one(job: ReplayJob) -> bool:
 
     with stop_request() as stopped, replay_progress("replaying") as on_progress:
         summary = replay_bag(job, on_progress, stopped)
-    print_summary(f"{job.bag} {summary['topic']}: {_how(job)}", summary, job.out)
+    print_summary(f"{job.bag} {summary['topic']}: {_how(job, summary)}", summary, job.out)
     return bool(summary["state"] != "complete")
 
 
@@ -136,7 +136,7 @@ def _replay_several(jobs: Sequence[ReplayJob], out: Path, scheduler: str | None)
     common = {} if alone else write_common_summary(out, jobs, done.summaries, done.errors)
     summary: dict[str, Any] = common or next(iter(done.summaries.values()), {})
     if done.summaries:
-        print_summary(f"{len(done.summaries)} of {len(jobs)} bags: {_how(jobs[0])}", summary, out)
+        print_summary(f"{len(done.summaries)} of {len(jobs)} bags: {_how(jobs[0], summary)}", summary, out)
     if done.errors:
         text = f"{len(done.errors)} of {len(jobs)} bags could not be replayed"
         raise InputError(f"{text}: {next(iter(done.errors.values()))}")
@@ -160,5 +160,8 @@ def _one_by_one(jobs: Sequence[ReplayJob]) -> ReplayedBags:
     return done
 
 
-def _how(job: ReplayJob) -> str:
-    return f"mode {job.mode}, method {job.config.method}, preset {job.preset}"
+def _how(job: ReplayJob, summary: Mapping[str, Any]) -> str:
+    """What was replayed with which configuration; of several bags each had its own choice, which its summary tells."""
+    chosen = summary.get("chosen")
+    why = f": {chosen['preset']}, {chosen['why']}" if chosen else ""
+    return f"mode {job.mode}, method {job.config.method}, preset {job.preset}{why}"

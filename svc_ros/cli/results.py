@@ -15,14 +15,15 @@ from svc_ros.core.result import RegistrationResult, Verdict
 _STYLES = {Verdict.ACCEPTED: "bold green", Verdict.UNDECIDED: "bold yellow"}
 
 
-def show_result(console: Console, result: RegistrationResult) -> None:
-    """Print verdict, reason, pose, evidence and times of one pair."""
+def show_result(console: Console, result: RegistrationResult, preset: str) -> None:
+    """Print verdict, reason, pose, evidence and times of one pair, and the preset that it was decided with."""
     verdict = (result.verdict.value.upper(), _STYLES.get(result.verdict, "bold red"))
     headline = Text.assemble(verdict, f"  {result.reason.value}  {result.detail}")
     parts: list[Any] = [headline]
     if result.best_candidate is not None:
         name = "T_target_source" if result.accepted else "best candidate, not accepted"
         parts.append(Text(f"{name}\n{_matrix_text(result.best_candidate)}"))
+    parts.append(Text(f"preset {preset}"))
     if result.probability is not None:
         parts.append(Text(f"probability that it is right: {result.probability:.3f}"))
     if result.evidence is not None:

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from svc_ros.cli.console import note, working
-from svc_ros.cli.options import ConfigOption, PresetOption, resolve_settings
+from svc_ros.cli.options import ConfigOption, PresetOption, choose_from, read_wanted
 from svc_ros.cli.register import SourceArgument, TargetArgument
-from svc_ros.core.errors import ConfigError, InputError, TooFewPointsError
-
-if TYPE_CHECKING:
-    from svc_ros.core.config import Config
-    from svc_ros.core.scan import PreparedScan
+from svc_ros.cli.scans import read_scans
+from svc_ros.core.errors import ConfigError, InputError
 
 ResultOption = Annotated[
     Path, typer.Option("--result", metavar="FILE", help="The decision, as register and verify write it with --json.")
@@ -48,10 +45,12 @@ def view(
         try:
             result = result_from_json(record)
             told = str(record["preset"]) if record.get("preset") else None
-            settings = resolve_settings(preset or (None if config_file else told), result.method or None, config_file)
+            wanted = read_wanted(preset or (None if config_file else told), result.method or None, config_file)
         except (InputError, ConfigError) as error:
             raise type(error)(f"{result_file}: {error}") from None
-        source_scan, target_scan = _prepared(source, settings.config), _prepared(target, settings.config)
+        files = read_scans(source, target)
+        settings = wanted.settle(lambda: choose_from(files.scans))
+        source_scan, target_scan = files.prepare(settings.config)
         try:
             result = look_again(source_scan, target_scan, result, settings.config)
         except InputError as error:
@@ -80,13 +79,3 @@ def _check_names(record: dict[str, Any], source: Path, target: Path, result_file
     told = [Path(str(record.get(side, ""))).name for side in ("source", "target")]
     if told[0] != told[1] and told == [target.name, source.name]:
         raise InputError(f"{result_file}: expected {told[0]} as source and {told[1]} as target, found them swapped")
-
-
-def _prepared(path: Path, config: Config) -> PreparedScan:
-    from svc_ros.core.registration import prepare
-    from svc_ros.io.scan_files import read_scan
-
-    try:
-        return prepare(read_scan(path), config)
-    except TooFewPointsError as error:
-        raise TooFewPointsError(f"{path}: {error}") from None

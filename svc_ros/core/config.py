@@ -16,9 +16,10 @@ from svc_ros.core.descriptor_names import split_names
 from svc_ros.core.errors import ConfigError
 from svc_ros.core.stream_config import LoopClosureConfig, ScanMatchingConfig
 
-__all__ = ["METHODS", "PRESETS", "Config", "FieldInfo", "preset", "unknown_name", "walk", "with_values"]
+__all__ = ["AUTO", "METHODS", "PRESETS", "Config", "FieldInfo", "preset", "unknown_name", "walk", "with_values"]
 
 METHODS = ("svc", "svc_paper", "sc2")
+AUTO = "auto"  # the preset that core.auto_preset chooses from the scans
 
 
 @dataclass(frozen=True)
@@ -263,7 +264,9 @@ PRESETS: dict[str, Config] = {
 
 
 def preset(name: str) -> Config:
-    """Return the named preset or raise ConfigError with the nearest name."""
+    """Return the named preset or raise ConfigError with the nearest name; `auto` needs scans: see choose_preset."""
+    if name == AUTO:
+        raise ConfigError(f"preset: auto is chosen from scans, and here are none: name one of {', '.join(PRESETS)}")
     if name not in PRESETS:
-        raise ConfigError(unknown_name("preset", name, list(PRESETS)))
+        raise ConfigError(unknown_name("preset", name, [*PRESETS, AUTO]))
     return PRESETS[name]

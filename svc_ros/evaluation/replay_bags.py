@@ -86,7 +86,7 @@ def write_common_summary(
 
 
 def _run(job: ReplayJob, summary: Mapping[str, Any] | None, error: str | None) -> dict[str, Any]:
-    names = ("num_scans", "num_decisions", "verdicts", "reasons", "real_time_factor", "false_loops")
+    names = ("num_scans", "num_decisions", "verdicts", "reasons", "real_time_factor", "false_loops", "chosen")
     known = {} if summary is None else {name: summary[name] for name in names if name in summary}
     state = "failed" if error is not None else "not begun" if summary is None else summary["state"]
     return {"bag": str(job.bag), "out": job.out.name, "state": state, **known, **({"error": error} if error else {})}

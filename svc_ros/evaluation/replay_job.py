@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import svc_ros
-from svc_ros.core.config import Config, unknown_name
+from svc_ros.core.auto_preset import Choice, choose_preset
+from svc_ros.core.config import AUTO, Config, unknown_name, with_values
 from svc_ros.core.errors import InputError
+from svc_ros.io.bags import Bag
+from svc_ros.pipeline.replay_clouds import BagPart, first_scans
 
 MODES = ("pair", "scan_matching", "loop_closure")
 
@@ -26,8 +29,10 @@ StopRequest = Callable[[], bool]
 class ReplayJob:
     """One bag, how to replay it, and the folder `out` for everything that is found.
 
-    preset: the name that the configuration started from, for the record; start_s, duration_s: [s] from the bag's
-    begin; stride: in `pair` scan k + stride is registered to scan k, in the other modes every stride-th scan is taken;
+    preset: the name that the configuration started from, for the record; `auto`: `settled` chooses it by the first
+    clouds, puts `values` (dotted names) over it in place of config, and keeps the choice in `chosen`; start_s,
+    duration_s: [s] from the bag's begin; stride: in `pair` scan k + stride is registered to scan k, in the other modes
+    every stride-th scan is taken;
     max_rate_hz: most scans a second of wall time, None for as fast as possible; sensor_frame: the sensor's frame where
     the clouds are in another one; odometry_frame: in `loop_closure` odometry is where this frame sees the clouds on
     /tf, None for odometry by scan matching; reference: a TUM file with poses of `reference_frame` (None: of the
@@ -52,6 +57,8 @@ class ReplayJob:
     with_input: bool = False
     resume: bool = False
     report: bool = True
+    values: Mapping[str, Any] = field(default_factory=dict)
+    chosen: Choice | None = None
 
     def __post_init__(self) -> None:
         if self.mode not in MODES:
@@ -62,6 +69,26 @@ class ReplayJob:
             raise InputError(f"--odometry-frame {self.odometry_frame}: only --mode loop_closure takes odometry")
         if self.reference_frame is not None and self.reference is None:
             raise InputError(f"--reference-frame {self.reference_frame}: expected --reference with it")
+
+    def settled(self, bag: Bag, topic: str) -> ReplayJob:
+        """The job with a configuration that fits the bag; as it is, unless the preset is `auto`.
+
+        By the clouds that are first registered: the first pair, in the other modes the first one.
+        """
+        if self.preset != AUTO:
+            return self
+        part = BagPart(topic, self.start_s, self.duration_s, self.stride, self.sensor_frame)
+        chosen = choose_preset(first_scans(bag, part, 2 if self.mode == "pair" else 1))
+        return replace(self, config=with_values(chosen.config, self.values), chosen=chosen)
+
+    @property
+    def base(self) -> str:
+        """The preset that the configuration started from; of `auto` the one that it chose."""
+        return self.preset if self.chosen is None else self.chosen.preset
+
+    def told(self) -> dict[str, Any]:
+        """For a summary: `preset`, and where `auto` chose, `chosen` with its reason."""
+        return {"preset": self.preset, **({} if self.chosen is None else {"chosen": dict(self.chosen.summary())})}
 
     def identity(self) -> dict[str, Any]:
         """What decisions depend on besides the configuration: only a run with the same one may be continued."""

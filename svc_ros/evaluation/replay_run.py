@@ -50,9 +50,10 @@ def replay_bag(
     MissingDependencyError; of a bag that breaks off there are complete outputs, too, and the state is `failed`.
     """
     stop = should_stop or _never
-    config_text = config_to_yaml(job.config, job.preset)
     with Bag(job.bag) as bag:
         topic = bag.resolve_cloud_topic(job.topic)
+        job = job.settled(bag, topic)
+        config_text = config_to_yaml(job.config, job.base)
         earlier = find_earlier(job, topic, config_text)
         if earlier.finished:
             return dict(earlier.finished)
@@ -182,7 +183,7 @@ class _Run:
         summary = {
             "bag": str(job.bag), "topic": self._replay.topic, "mode": job.mode, "state": self._state,
             "interrupted": self._state == "interrupted",
-            "method": job.config.method, "preset": job.preset,
+            "method": job.config.method, **job.told(),
             **self._tally.numbers(),
             "recorded_s": recorded_s, "wall_time_s": self._wall_s,
             "real_time_factor": recorded_s / self._wall_s if self._wall_s else None,

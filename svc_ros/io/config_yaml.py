@@ -21,7 +21,7 @@ from typing import Any
 
 import yaml
 
-from svc_ros.core.config import PRESETS, Config, FieldInfo, preset, walk, with_values
+from svc_ros.core.config import AUTO, PRESETS, Config, FieldInfo, preset, walk, with_values
 from svc_ros.core.errors import ConfigError, InputError
 
 NODE_NAME = "svc_registration"
@@ -120,7 +120,7 @@ def changes_to_yaml(config: Config, preset_name: str, always: Sequence[str] = ()
 def _parameters(told: Sequence[FieldInfo], preset_name: str) -> str:
     lines = ["/**:", "  ros__parameters:"]
     if preset_name:
-        lines += ["    # base of whatever this file does not say, one of " + ", ".join(PRESETS)]
+        lines += ["    # base of whatever this file does not say, one of " + ", ".join([*PRESETS, AUTO])]
         lines += [f"    preset: {preset_name}"]
     open_group = ""
     for info in told:

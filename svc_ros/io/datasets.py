@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from svc_ros.core.config import PRESETS, unknown_name
+from svc_ros.core.config import AUTO, PRESETS, unknown_name
 from svc_ros.core.errors import InputError
 from svc_ros.core.scan import Array, Scan
 from svc_ros.core.se3 import check_pose, nearest_pose
@@ -109,8 +109,8 @@ def read_dataset(folder: str | Path) -> Dataset:
         raise InputError(f"{root}: expected a dataset folder, found {'a file' if root.exists() else 'nothing'}")
     entry = _Entry.of_file(root / "dataset.json")
     preset = entry.text("preset")
-    if preset not in PRESETS:
-        raise InputError(f"{entry.place}: {unknown_name('preset', preset, list(PRESETS))}")
+    if preset not in (*PRESETS, AUTO):
+        raise InputError(f"{entry.place}: {unknown_name('preset', preset, [*PRESETS, AUTO])}")
     success = entry.child("success")
     return Dataset(
         root=root,

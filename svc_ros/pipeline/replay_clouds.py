@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from typing import Any
 
 from svc_ros.core.errors import InputError, TransformUnavailableError
@@ -111,6 +112,12 @@ def read_clouds(bag: Bag, part: BagPart) -> Iterator[RecordedCloud]:
             stamp_ns, frame_id = ns_from_stamp(message.header.stamp), str(message.header.frame_id)
             cloud = RecordedCloud(number // part.stride, stamp_ns, frame_id, bag_time_ns, message)
             yield _read(cloud, transforms, part.sensor_frame, watch)
+
+
+def first_scans(bag: Bag, part: BagPart, num: int) -> list[Scan]:
+    """The first `num` clouds that can be read and have points; fewer where there are no more. As `read_clouds`."""
+    scans = (cloud.scan for cloud in read_clouds(bag, part))
+    return list(islice((scan for scan in scans if scan is not None and len(scan)), num))
 
 
 def _read(

@@ -1,7 +1,8 @@
 """The node's parameters: the config's own fields, found by walking it, and the few that only a node has.
 
-`preset` is read first; its values are the defaults of all others. A change is checked as a whole configuration before
-it is taken, and applies to the next pair.
+`preset` is read first; its values are the defaults of all others. With `auto` these are lidar_outdoor's until the first
+clouds decide (see `first_choice`); what nobody has set then follows the choice. A change is checked as a whole
+configuration before it is taken, and applies to the next pair.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from svc_ros.core.config import PRESETS, Config, FieldInfo, preset, unknown_name, walk, with_values
+from svc_ros.core.auto_preset import Choice
+from svc_ros.core.config import AUTO, PRESETS, Config, FieldInfo, preset, unknown_name, walk, with_values
 from svc_ros.core.descriptors import load_descriptors
 from svc_ros.core.errors import ConfigError, MissingDependencyError
 
@@ -108,9 +110,11 @@ class NodeParameters:
     def __init__(self, node: Node) -> None:
         self._node = node
         self.preset_name = self._declare(
-            FieldInfo("preset", "lidar_outdoor", "defaults of all other values", "", None, None, tuple(PRESETS))
+            FieldInfo("preset", "lidar_outdoor", "defaults of all other values", "", None, None, (*PRESETS, AUTO))
         )
-        base = preset(self.preset_name)
+        self.choice: Choice | None = None
+        self._given = set(getattr(node, "_parameter_overrides", {}))
+        base = preset("lidar_outdoor" if self.preset_name == AUTO else self.preset_name)
         self.config: Config = with_values(base, {info.name: self._declare(info) for info in walk(base)})
         load_descriptors(self.config)
         self.settings = _settings(NodeSettings(), {info.name: self._declare(info) for info in OWN})
@@ -118,6 +122,24 @@ class NodeParameters:
         self._num_config = len(list(walk(base)))
         node.add_on_set_parameters_callback(self._check_change)
         node.add_post_set_parameters_callback(self._apply_change)
+
+    @property
+    def awaits_choice(self) -> bool:
+        """True while the preset is `auto` and nothing has been chosen."""
+        return self.preset_name == AUTO and self.choice is None
+
+    def take(self, choice: Choice) -> None:
+        """Make the choice's values those of all parameters that were set neither at the start nor since.
+
+        Raises ConfigError, and changes nothing, where they do not go with those that were set.
+        """
+        now = {info.name: info.default for info in walk(self.config)}
+        wanted = {info.name: info.default for info in walk(choice.config) if info.name not in self._given}
+        changed = [Parameter(name, value=value) for name, value in wanted.items() if value != now[name]]
+        result = self._node.set_parameters_atomically(changed)
+        if not result.successful:
+            raise ConfigError(f"preset auto chose {choice.preset}: {result.reason}")
+        self.choice = choice
 
     def unknown_overrides(self) -> list[str]:
         """One line for each parameter that was given from outside and that the node does not have."""
@@ -149,6 +171,7 @@ class NodeParameters:
         return SetParametersResult(successful=True)
 
     def _apply_change(self, parameters: list[Parameter]) -> None:
+        self._given |= {parameter.name for parameter in parameters}
         self.config, self.settings = self._changed(parameters)
 
 

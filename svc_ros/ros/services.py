@@ -83,6 +83,7 @@ class Services:
             status = {
                 "mode": self._parameters.settings.mode,
                 "preset": self._parameters.preset_name,
+                **({} if self._parameters.choice is None else {"chosen": dict(self._parameters.choice.summary())}),
                 "method": self._parameters.config.method,
                 "received": {name: monitor.num_received for name, monitor in session.statistics.inputs.items()},
                 "lost": dict(session.statistics.num_lost),

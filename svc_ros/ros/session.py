@@ -22,6 +22,7 @@ from svc_ros.pipeline.decide import refused
 from svc_ros.pipeline.scan_matching import ScanMatcher
 from svc_ros.ros.decision import Decision, Engine, labels
 from svc_ros.ros.diagnostics import Statistics, statuses
+from svc_ros.ros.first_choice import FirstChoice
 from svc_ros.ros.frames import Frames
 from svc_ros.ros.inputs import CLOUD_INPUTS, Inputs
 from svc_ros.ros.loop_engine import LoopEngine
@@ -55,6 +56,7 @@ class Session:
         self.engine: Engine = self._make_engine()
         self.frames = Frames(node, settings)
         self.outputs = self._make_outputs(settings)
+        self._first_choice = FirstChoice(parameters, _Sources(self).origin, node.get_logger().info)
         self.worker = Worker(self._process, self._warm_up)
         self.inputs = Inputs(node, parameters, self.statistics, self._take)
         self.services = Services(node, parameters, self)
@@ -188,11 +190,12 @@ class Session:
         )
 
     def _process(self, job: Job) -> None:
-        config, settings = self._parameters.config, self._parameters.settings
+        settings = self._parameters.settings
         try:
-            decisions = self.engine.process(job, config)
+            self._first_choice.settle(job)
+            decisions = self.engine.process(job, self._parameters.config)
         except Exception as error:
-            decisions = [Decision(refused(error, config), *labels(job))]
+            decisions = [Decision(refused(error, self._parameters.config), *labels(job))]
         self.statistics.finish(decisions)
         for decision in decisions:
             try:

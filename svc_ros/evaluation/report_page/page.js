@@ -120,7 +120,7 @@ function setUpKeys() {
 function start() {
   document.body.classList.add(data.kind);
   byId("title").textContent = data.title;
-  const about = [told("mode"), told("topic"), told("method") && `method ${told("method")}`, told("preset") && `preset ${told("preset")}`];
+  const about = [told("mode"), told("topic"), told("method") && `method ${told("method")}`, told("preset") && `preset ${[told("preset"), told("chosen.preset")].filter(Boolean).join(": ")}`];
   byId("subtitle").textContent = about.filter(Boolean).join("  ·  ");
   byId("version").textContent = data.version;
   if (data.kind === "view") byId("pairs-title").textContent = "The pair in 3D";
