@@ -63,6 +63,13 @@ def test_a_sensor_that_stands_too_steeply_finds_no_level(deg):
         assert find_level(street(tilt(deg))) is None
 
 
+def test_the_height_is_that_above_the_ground_nearby():
+    """Not above an embankment that is farther away, and larger."""
+    near, far = plane((0, 0, -EYE_M), (10, 0, 0), (0, 10, 0)), plane((0, 40, 0.5 - EYE_M), (30, 0, 0), (0, 15, 0))
+    level = find_level(seen({(0, 0, 1): [near, far[::2]]}, LEVEL))
+    assert level.T_level_scan[2, 3] == pytest.approx(EYE_M)
+
+
 def test_without_ground_there_is_no_level():
     ceiling = plane((0, 0, 3.0), (20, 0, 0), (0, 20, 0))
     wall = plane((0, 5.0, 0), (20, 0, 0), (0, 0, 5.0))
@@ -110,7 +117,8 @@ def test_a_level_is_not_sure_where_much_lies_below_the_ground_or_a_wall_is_large
 
 def test_walls_that_face_one_way_are_counted_however_they_are_turned():
     normals = np.tile([[1.0, 0, 0], [0, 1, 0], [0, 1, 0], [0, 0, 1]], (10, 1))
-    for deg in np.arange(0.0, 360.0, 7.5):
+    normals[1::8] = tilt(5.0, 0.0)[[1, 2, 0]][:, [1, 2, 0]] @ (0, 1, 0)  # uneven
+    for deg in np.arange(0.0, 360.0, 2.5):
         turned = normals @ tilt(deg, 0.0)[[1, 2, 0]][:, [1, 2, 0]].T
         assert levelling._largest_wall(turned) == pytest.approx(0.5)
     assert levelling._largest_wall(np.tile([0.0, 0, 1], (5, 1))) == 0.0
