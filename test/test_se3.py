@@ -150,3 +150,21 @@ def test_the_nearest_pose_is_that_of_the_singular_values(size):
 def test_a_mirrored_matrix_becomes_a_rotation():
     found = se3.nearest_pose(np.diag([1.0, 1.0, -1.0, 1.0]))
     assert np.linalg.det(found[:3, :3]) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 30.0, 90.0, 150.0, 179.0])
+def test_one_direction_is_turned_onto_another_by_the_smallest_angle(angle):
+    for start, other in Rotation.random(20, random_state=3).as_matrix()[:, :2]:
+        axis = np.cross(start, other)
+        end = Rotation.from_rotvec(np.radians(angle) * axis).apply(start)
+        R = se3.turn_onto(start, end)
+        np.testing.assert_allclose(R @ start, end, atol=1e-9)
+        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-9)
+        np.testing.assert_allclose(R @ axis, axis, atol=1e-9)  # about the one axis that leaves nothing to choose
+        np.testing.assert_allclose(np.linalg.det(R), 1.0, atol=1e-9)
+        np.testing.assert_allclose(se3.rotation_angle_deg(R), angle, atol=1e-7)
+        np.testing.assert_allclose(se3.turn_onto(end, start), R.T, atol=1e-9)
+
+
+def test_a_direction_that_is_there_already_is_not_turned():
+    np.testing.assert_array_equal(se3.turn_onto((0, 0, 1), (0, 0, 1)), np.eye(3))

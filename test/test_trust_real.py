@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from functools import lru_cache
 from pathlib import Path
 
@@ -15,6 +16,12 @@ from svc_ros.core.scan import Features, PreparedScan
 from svc_ros.io.datasets import Dataset, Pair, read_dataset
 
 KITTI, LOOP, SEOSAN, WALK = "hdl64_kitti_a", "hdl64_kitti_05_loop", "os1_64_seosan", "os0_64_walk"
+SAME_KIND = [  # sets of one kind of sensor, each of another drive or building
+    (KITTI, LOOP, "hdl64_city"), (SEOSAN, "os1_64_highway", "os1_64_yard"),
+    (WALK, "vlp16_hand_held", "tripod_scanner_flat"), ("rgbd_redkitchen", "rgbd_single_frames"),
+    ("solid_state_yard", "livox_dense"),
+]  # fmt: skip
+STRANGERS = [names for sets in SAME_KIND for names in itertools.combinations(sets, 2)]
 
 
 @lru_cache(maxsize=8)
@@ -66,6 +73,19 @@ def test_no_listed_negative_is_accepted(shared_data):
         assert names[0][0] != names[1][0]
         if k % 4 == 0:
             assert_not_accepted(shared_data, *names, as_in=KITTI)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("first", "second"), STRANGERS)
+def test_no_two_scans_of_different_sets_are_accepted(shared_data, first, second):
+    """Every scan of one set with every scan of the other, each prepared as its own, which way round in turns."""
+    wrong = []
+    for k, (one, other) in enumerate(itertools.product(scans(shared_data, first), scans(shared_data, second))):
+        source, target = [(first, one), (second, other)][:: 1 if k % 2 else -1]
+        described = [features(shared_data, *scan, as_in=scan[0]) for scan in (source, target)]
+        if found := falsehood(register(*described, config_of(dataset(shared_data, target[0]))), None):
+            wrong.append(f"{source} to {target}: {found}")
+    assert wrong == []
 
 
 MIXED = [(SEOSAN, 0, KITTI, 0, KITTI), (SEOSAN, 8, LOOP, 1, KITTI), (WALK, 0, SEOSAN, 8, WALK),

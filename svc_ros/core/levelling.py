@@ -85,5 +85,6 @@ def _largest_wall(normals: Array) -> float:
     """Share of level normals (N, 3) that are upright surface's and face about the same way."""
     upright = normals[np.abs(normals[:, 2]) < _WALL_COSINE]
     azimuth = np.arctan2(upright[:, 1], upright[:, 0])
-    num = np.bincount((azimuth / (2.0 * np.pi) * _SECTORS).astype(np.int64) % _SECTORS, minlength=_SECTORS)
+    sector = np.floor(azimuth / (2.0 * np.pi) * _SECTORS).astype(np.int64) % _SECTORS
+    num = np.bincount(sector, minlength=_SECTORS)
     return float((num + np.roll(num, 1)).max() / len(normals))

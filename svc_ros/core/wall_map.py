@@ -78,15 +78,20 @@ def _draw(scan: PreparedScan, T: Array, raster: Raster) -> WallMap:
     near = flat < raster.reach_m
     upright = near & (np.abs(normals[:, 2]) < _UPRIGHT) & (height > _ABOVE_GROUND_M)
     walls, facing = points[upright, :2], normals[upright, :2]
-    taken = np.unique(np.round(walls / cell_m), axis=0)
+    taken = np.unique(_cells(walls, cell_m), axis=0)
     free = np.zeros((raster.size, raster.size), bool)
     seen = points[(height > _ABOVE_GROUND_M) & (height < _EYE_LEVEL_M), :2]
     rays = np.ascontiguousarray(seen[:: max(1, len(seen) // _RAYS)])
     wall_map_kernels.walk_rays(rays, raster.reach_m, _STEP * cell_m, _SHORT * cell_m, cell_m, free)
-    ground = np.round(points[near & (normals[:, 2] > _LYING) & (height < _ABOVE_GROUND_M), :2] / cell_m)
+    ground = _cells(points[near & (normals[:, 2] > _LYING) & (height < _ABOVE_GROUND_M), :2], cell_m)
     for cells, value in ((ground, True), (taken, False)):
         i, j = cells.astype(np.int64).T + half
         free[i, j] = value
     facing = np.asarray(facing / np.linalg.norm(facing, axis=1, keepdims=True), np.float64)
     middles = np.asarray((np.argwhere(free) - half) * cell_m, np.float64)
     return WallMap(T, walls, facing, taken * cell_m, middles)
+
+
+def _cells(places: Array, cell_m: float) -> Array:
+    """Cells (N, 2), from the middle on, of places (N, 2) [m]; what lies on a border is in the same one for kernels."""
+    return np.asarray(np.floor(places / cell_m + 0.5))
