@@ -142,3 +142,20 @@ def test_the_ground_lies_at_zero_and_the_scan_is_only_moved():
     heights = apply(level, scan.points)[scan.normals @ T[:3, 2] > 0.9, 2]
     np.testing.assert_allclose(heights, 0.0, atol=1e-9)
     np.testing.assert_allclose(level @ invert(level), np.eye(4), atol=1e-12)
+
+
+def test_where_z_is_known_to_be_up_it_is_and_surely():
+    tilted = field(tilt(10.0))
+    level = find_level(tilted, z_is_up=True)
+    np.testing.assert_array_equal(level.T_level_scan[:3, :3], np.eye(3))
+    assert level.sure
+    assert rotation_angle_deg(find_level(tilted).T_level_scan[:3, :3]) > 9.0  # what is seen is kept apart
+
+
+def test_the_lowest_surface_stands_for_ground_that_is_not_seen():
+    wall = plane((5.0, 0.0, 0.75), (0.0, 8.0, 0.0), (0.0, 0.0, 3.5))  # from a metre below the sensor on
+    scan = seen({(-1, 0, 0): [wall]}, tilt(0.0))
+    assert find_level(scan) is None
+    level = find_level(scan, z_is_up=True)
+    lowest = apply(level.T_level_scan, scan.points)[:, 2].min()
+    assert -0.3 < lowest <= 0.0

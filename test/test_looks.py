@@ -34,7 +34,7 @@ class Watched:
     def __init__(self, matcher: Matcher, all_matches: list[Correspondences] | None = None) -> None:
         self._matcher, self._all, self.asked, self.alone = matcher, all_matches, list[str](), matcher.alone
 
-    def few(self) -> Correspondences | None:
+    def few(self) -> list[Correspondences]:
         self.asked.append("few")
         return self._matcher.few()
 
@@ -48,8 +48,8 @@ class Nothing:
 
     alone = False
 
-    def few(self) -> None:
-        return None
+    def few(self) -> list[Correspondences]:
+        return [NO_MATCH]
 
     def all(self) -> list[Correspondences]:
         return [NO_MATCH]
@@ -62,7 +62,7 @@ def afresh(features: Features, sure: bool | None = None) -> Features:
     """The same with nothing remembered; its level as sure as told."""
     prepared = dataclasses.replace(features.prepared, memo={})
     if sure is not None:
-        prepared.memo["level"] = dataclasses.replace(find_level(features.prepared), sure=sure)
+        prepared.memo["level", False] = dataclasses.replace(find_level(features.prepared), sure=sure)
     return Features(prepared, features.descriptors)
 
 
@@ -86,7 +86,7 @@ def room() -> Two:
 def levelled(monkeypatch) -> list[int]:
     """How many poses every levelled look was asked for."""
     asked, find = list[int](), looks.find_levelled_poses
-    monkeypatch.setattr(looks, "find_levelled_poses", lambda *given: asked.append(given[2]) or find(*given))
+    monkeypatch.setattr(looks, "find_levelled_poses", lambda *given: asked.append(given[3]) or find(*given))
     return asked
 
 
@@ -105,13 +105,12 @@ def test_an_accepted_first_look_asks_for_nothing_more(room, levelled):
     assert levelled == []
 
 
-def test_where_few_points_are_all_points_they_are_not_matched_first(room):
-    described = Described(pair_of(room, room_config()), room)
-    assert (described.few() is None) is (max(map(len, room)) <= room_config().matching.first_points)
+def test_where_few_points_are_all_points_all_are_matched_at_once_and_once(room):
     for first in (0, max(map(len, room))):
-        assert Described(pair_of(room, room_config(matching__first_points=first)), room).few() is None
+        described = Described(pair_of(room, room_config(matching__first_points=first)), room)
+        assert described.few() is described.all()
     config = room_config(matching__first_points=2000)
-    few, (everything,) = (getattr(Described(pair_of(room, config), room), name)() for name in ("few", "all"))
+    (few,), (everything,) = (getattr(Described(pair_of(room, config), room), name)() for name in ("few", "all"))
     assert 0 < len(few) < len(everything)
     assert_same_bits(everything.source_points, match(*room, config.matching).source_points)
 
@@ -174,10 +173,10 @@ def test_without_levelled_poses_nobody_looks_for_the_ground(room, levelled):
     result, asked = look(two, config)
     assert pair_of(two, config).levels() == []
     assert result.accepted
-    assert asked == ["few", "all"]
+    assert asked == ["few"]
     assert levelled == []
     assert "levelled" not in result.time_ms
-    assert all("level" not in features.memo for features in two)
+    assert all(("level", False) not in features.memo for features in two)
 
 
 # The last look
@@ -210,11 +209,11 @@ def test_what_was_seen_before_the_last_look_is_judged_with_it():
 def test_a_scan_that_sees_no_ground_ends_no_search(room):
     """Of the same place, so that it is found; its first look is judged at once."""
     two = afresh(room[0]), afresh(room[1])
-    two[1].memo["level"] = None
+    two[1].memo["level", False] = None
     assert pair_of(two, room_config()).levels() == []
     result, asked = look(two, room_config(matching__first_points=0))
     assert result.accepted
-    assert asked == ["few", "all"]
+    assert asked == ["few"]
 
 
 # Correspondences from elsewhere
@@ -230,8 +229,8 @@ def test_given_correspondences_are_all_that_is_used(room, levelled):
     assert result.counts["correspondences"] == 200
     assert levelled == []
     assert {"levelled", "features", "matching"}.isdisjoint(result.time_ms)
-    assert all("level" not in features.memo for features in two)
-    assert (Given(far_away).few(), Given(far_away).all(), Given(far_away).alone) == (None, [far_away], True)
+    assert all(("level", False) not in features.memo for features in two)
+    assert (Given(far_away).few(), Given(far_away).all(), Given(far_away).alone) == ([far_away], [far_away], True)
 
 
 LINE = np.linspace(0, 9, 50)[:, None] * (1.0, 0.5, 0.2)

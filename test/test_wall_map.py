@@ -9,17 +9,22 @@ import numpy as np
 import pytest
 import reference_wall_maps as reference
 from level_cases import EYE_M, field, plane, room, seen, street, tilt
-from scan_cases import prepared, random_scan
+from scan_cases import prepared
 
 from svc_ros.core import wall_map as stage
 from svc_ros.core import wall_map_kernels as kernels
+from svc_ros.core.levelling import find_level
 from svc_ros.core.scan import PreparedScan
-from svc_ros.core.wall_map import Raster, choose_raster, wall_map
+from svc_ros.core.wall_map import Raster, WallMap, choose_raster, wall_map
 
 LEVEL = np.eye(4)
 RASTER = Raster(0.5, 96)
 CELL, SIZE = 0.5, 16
 ANGLES = [0.0, 0.3, np.pi / 6, np.pi / 4, np.pi / 2, 2.0, np.pi, -1.2]
+
+
+def map_of_scan(scan: PreparedScan) -> WallMap:
+    return wall_map(scan, find_level(scan).T_level_scan, RASTER)
 
 
 def cases() -> dict[str, np.ndarray]:
@@ -134,7 +139,7 @@ def random_level_scan(T: np.ndarray) -> PreparedScan:
 @pytest.mark.parametrize("make", [street, room, field, random_level_scan])
 @pytest.mark.parametrize("deg", [0.0, 9.0])
 def test_a_map_holds_what_was_seen_and_what_was_seen_through(make, deg):
-    drawn = wall_map(make(tilt(deg, 40.0, (3.0, -1.0, 2.0))), RASTER)
+    drawn = map_of_scan(make(tilt(deg, 40.0, (3.0, -1.0, 2.0))))
     assert (np.linalg.norm(drawn.walls, axis=1) < RASTER.reach_m).all()
     np.testing.assert_allclose(np.linalg.norm(drawn.normals, axis=1), 1.0)
     for cells in (drawn.taken, drawn.free):
@@ -156,7 +161,7 @@ def test_a_wall_on_a_border_is_in_one_cell_for_all(shift_m):
     """Half of the cells' edges from every middle: what is taken is what a wall is drawn in."""
     walls = [plane((x + shift_m, shift_m, 0.0), (0, 3, 0), (0, 0, 1)) for x in (2.0, 3.5, -4.0)]
     ground = plane((0, 0, -EYE_M), (6, 0, 0), (0, 6, 0))
-    drawn = wall_map(seen({(0, 0, 1): [ground], (1, 0, 0): walls}, LEVEL), RASTER)
+    drawn = map_of_scan(seen({(0, 0, 1): [ground], (1, 0, 0): walls}, LEVEL))
     images = np.empty((2, RASTER.size, RASTER.size), np.complex64)
     kernels.draw(drawn.walls, drawn.normals, drawn.taken, drawn.free, 1.0, 0.0, RASTER.cell_m, *images)
     np.testing.assert_array_equal(images[1] == 1.0, images[0] != 0.0)
@@ -164,7 +169,7 @@ def test_a_wall_on_a_border_is_in_one_cell_for_all(shift_m):
 
 
 def test_walls_are_drawn_where_they_stand_and_face_the_sensor():
-    drawn = wall_map(street(LEVEL), RASTER)
+    drawn = map_of_scan(street(LEVEL))
     np.testing.assert_allclose(np.abs(drawn.walls[:, 1]), 10.0)
     np.testing.assert_allclose(drawn.normals, -np.sign(drawn.walls[:, 1:]) * (0.0, 1.0), atol=1e-9)
     assert ((np.abs(drawn.taken[:, 1]) == 10.0) & (np.abs(drawn.taken[:, 0]) <= RASTER.reach_m)).all()
@@ -176,36 +181,33 @@ def test_what_stands_too_low_or_hangs_too_high_hides_nothing():
     ground = plane((0, 0, -EYE_M), (12, 0, 0), (0, 2, 0))
     kerb, bridge = (plane((0, 8, z - EYE_M), (4, 0, 0), (0, 0, 0.1)) for z in (0.2, 6.0))
     for wall, num in ((kerb, 0), (bridge, len(bridge))):
-        drawn = wall_map(seen({(0, 0, 1): [ground] * 3, (0, -1, 0): [wall]}, LEVEL), RASTER)
+        drawn = map_of_scan(seen({(0, 0, 1): [ground] * 3, (0, -1, 0): [wall]}, LEVEL))
         assert len(drawn.walls) == num
         assert drawn.free[:, 1].max() <= 2.5
 
 
 def test_rays_free_what_lies_before_a_wall_and_nothing_behind():
     ground, wall = plane((0, 0, -EYE_M), (3, 0, 0), (0, 2, 0)), plane((9, 0, 0), (0, 1, 0), (0, 0, 1))
-    drawn = wall_map(seen({(0, 0, 1): [ground], (-1, 0, 0): [wall]}, LEVEL), RASTER)
+    drawn = map_of_scan(seen({(0, 0, 1): [ground], (-1, 0, 0): [wall]}, LEVEL))
     before = drawn.free[(drawn.free[:, 1] == 0.0) & (drawn.free[:, 0] > 3.0), 0]
     np.testing.assert_array_equal(before, np.arange(3.5, 8.4, 0.5))
 
 
-def test_without_ground_there_is_no_map():
-    assert wall_map(random_scan(30, seed=1), RASTER) is None
-
-
-@pytest.mark.parametrize("make", [street, lambda T: random_scan(30, seed=1)])
-def test_a_map_is_drawn_once_a_scan_and_raster(monkeypatch, make):
-    scan, drawn = make(LEVEL), []
+def test_a_map_is_drawn_once_a_scan_way_and_raster(monkeypatch):
+    scan, drawn = street(LEVEL), []
     draw = stage._draw
     monkeypatch.setattr(stage, "_draw", lambda scan, T, raster: drawn.append(raster) or draw(scan, T, raster))
-    other = Raster(0.25, 96)
-    assert wall_map(scan, RASTER) is wall_map(scan, RASTER)
-    assert (wall_map(scan, other) is wall_map(scan, RASTER)) is (wall_map(scan, RASTER) is None)
-    wall_map(dataclasses.replace(scan, memo={}), other)
-    assert drawn == ([RASTER, other, other] if make is street else [])
+    other, level = Raster(0.25, 96), find_level(scan).T_level_scan
+    assert wall_map(scan, level, RASTER) is wall_map(scan, level, RASTER)
+    assert wall_map(scan, level, other) is not wall_map(scan, level, RASTER)
+    wall_map(dataclasses.replace(scan, memo={}), level, other)
+    known = find_level(scan, z_is_up=True).T_level_scan
+    assert wall_map(scan, known, other).T_level_scan is known
+    assert drawn == [RASTER, other, other, other]
 
 
 def test_a_field_has_no_walls():
-    drawn = wall_map(field(LEVEL), RASTER)
+    drawn = map_of_scan(field(LEVEL))
     assert drawn.walls.shape == drawn.normals.shape == drawn.taken.shape == (0, 2)
     assert len(drawn.free) > 1000
 
