@@ -1,33 +1,22 @@
-"""One pair by one method: svc_ros in its variants, and other packages on the same thinned points."""
+"""One pair of raw scans by one method: svc_ros in its variants, and other packages."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 from unittest.mock import patch
 
 import _common  # noqa: F401  it finds the checkout
+import _peers
 import numpy as np
 from _cliques import generate_clique_hypotheses
+from _peers import PEERS, Attempt, Method
 
 from svc_ros.core import registration, shortlist
 from svc_ros.core.config import Config, with_values
-from svc_ros.core.scan import Array, Features
+from svc_ros.core.scan import Scan
 from svc_ros.pipeline.decide import register_pair
-
-
-@dataclass(frozen=True)
-class Attempt:
-    """The answer of a method: whether it stands by it, its pose (4, 4) if any, the time [ms] without descriptors."""
-
-    accepted: bool
-    T_target_source: Array | None
-    time_ms: float
-
-
-Method = Callable[[Features, Features, Config], Attempt]
 
 CHANGES: dict[str, Mapping[str, Any]] = {
     "svc": {},
@@ -46,92 +35,41 @@ CHANGES: dict[str, Mapping[str, Any]] = {
 }  # fmt: skip
 
 
-def run_svc_ros(source: Features, target: Features, config: Config) -> Attempt:
-    """register() with that configuration; descriptors are given."""
+def run_svc_ros(source: Scan, target: Scan, config: Config) -> Attempt:
+    """register() with that configuration."""
+    start = time.perf_counter()
     result = register_pair(source, target, config)
-    return Attempt(result.accepted, result.best_candidate, result.time_ms.get("total", 0.0))
+    return Attempt(result.accepted, result.best_candidate, 1e3 * (time.perf_counter() - start), result.probability)
 
 
-def run_without_prescore(source: Features, target: Features, config: Config) -> Attempt:
+def run_without_prescore(source: Scan, target: Scan, config: Config) -> Attempt:
     """register() with a shortlist that knows the hypotheses' rank only."""
     with patch.object(shortlist, "prescore", lambda T, *_: np.zeros(len(T))):
         return run_svc_ros(source, target, config)
 
 
-def run_with_cliques(source: Features, target: Features, config: Config) -> Attempt:
+def run_with_cliques(source: Scan, target: Scan, config: Config) -> Attempt:
     """register() with hypotheses from three correspondences each instead of SC2-PCR's sets."""
     with patch.object(registration, "generate_hypotheses", generate_clique_hypotheses):
         return run_svc_ros(source, target, config)
 
 
-def run_open3d_ransac(source: Features, target: Features, config: Config) -> Attempt:
-    """Open3D's RANSAC on mutual FPFH matches, confidence 0.999, the settings of its tutorial."""
-    import open3d as o3d
-
-    registration = o3d.pipelines.registration
-    distance = 1.5 * config.preprocess.voxel_size_m
-    clouds = _open3d_input(source), _open3d_input(target)
-    o3d.utility.random.seed(0)
-    start = time.perf_counter()
-    result = registration.registration_ransac_based_on_feature_matching(
-        clouds[0][0], clouds[1][0], clouds[0][1], clouds[1][1], True, distance,
-        registration.TransformationEstimationPointToPoint(False), 3,
-        [registration.CorrespondenceCheckerBasedOnEdgeLength(0.9),
-         registration.CorrespondenceCheckerBasedOnDistance(distance)],
-        registration.RANSACConvergenceCriteria(100_000, 0.999),
-    )  # fmt: skip
-    return _attempt(result.transformation, start)
-
-
-def run_open3d_fgr(source: Features, target: Features, config: Config) -> Attempt:
-    """Open3D's fast global registration, the settings of its tutorial."""
-    import open3d as o3d
-
-    registration = o3d.pipelines.registration
-    clouds = _open3d_input(source), _open3d_input(target)
-    o3d.utility.random.seed(0)
-    option = registration.FastGlobalRegistrationOption(
-        maximum_correspondence_distance=0.5 * config.preprocess.voxel_size_m
-    )
-    start = time.perf_counter()
-    result = registration.registration_fgr_based_on_feature_matching(
-        clouds[0][0], clouds[1][0], clouds[0][1], clouds[1][1], option
-    )
-    return _attempt(result.transformation, start)
-
-
-def run_kiss_matcher(source: Features, target: Features, config: Config) -> Attempt:
-    """KISS-Matcher with its defaults for the voxel size; its own descriptors are left out of the time as all others."""
-    import kiss_matcher
-
-    settings = kiss_matcher.KISSMatcherConfig(config.preprocess.voxel_size_m, use_voxel_sampling=False)
-    matcher = kiss_matcher.KISSMatcher(settings)
-    a, b = (f.prepared.points.astype(np.float32) for f in (source, target))
-    start = time.perf_counter()
-    solution = matcher.estimate(a, b)
-    total = time.perf_counter() - start
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = solution.rotation, np.ravel(solution.translation)
-    extraction = matcher.get_processing_time() + matcher.get_extraction_time()
-    return Attempt(bool(solution.valid), T, 1e3 * max(total - extraction, 0.0))
-
-
-OTHERS: dict[str, Method] = {
-    "Open3D RANSAC": run_open3d_ransac,
-    "Open3D FGR": run_open3d_fgr,
-    "KISS-Matcher": run_kiss_matcher,
-}
 PATCHED: dict[str, Method] = {
     "svc, shortlist by rank": run_without_prescore,
     "svc, three-point cliques": run_with_cliques,
 }
-METHODS = (*CHANGES, *OTHERS)
+METHODS = (*CHANGES, *PEERS)
+COMPARED = ("svc", *PEERS)  # unless others are asked for
+PREPARED = {**dict.fromkeys(CHANGES, "raw points; the set's preset"), **_peers.PREPARED}
+ACCEPTS = {
+    **dict.fromkeys(CHANGES, "its verdict is accepted"), "sc2": "every pose that it finds", **_peers.ACCEPTS,
+}  # fmt: skip
 
 
 def method_of(name: str, config: Config) -> tuple[Method, Config]:
     """What runs a method, and with which configuration."""
-    if name in OTHERS:
-        return OTHERS[name], config
+    if name in PEERS:
+        return PEERS[name], config
     return PATCHED.get(name, run_svc_ros), with_values(config, CHANGES[name])
 
 
@@ -140,21 +78,8 @@ def why_not(name: str) -> str | None:
     try:
         if name == "KISS-Matcher":
             import kiss_matcher  # noqa: F401
-        elif name in OTHERS:
+        elif name in PEERS:
             import open3d  # noqa: F401
     except ImportError as error:
         return f"{error}; see the extra `compare`"
     return None
-
-
-def _attempt(T: Array, start: float) -> Attempt:
-    return Attempt(True, np.asarray(T), 1e3 * (time.perf_counter() - start))
-
-
-def _open3d_input(features: Features) -> tuple[Any, Any]:
-    import open3d as o3d
-
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.array(features.keypoints)))
-    descriptors = o3d.pipelines.registration.Feature()
-    descriptors.data = features.descriptors.T.astype(np.float64)
-    return cloud, descriptors

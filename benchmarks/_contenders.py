@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from svc_ros.core.config import Config
 from svc_ros.core.result import RegistrationResult
-from svc_ros.core.scan import Scan
+from svc_ros.core.scan import Features, Scan
 from svc_ros.io.datasets import Pair
 
 KISS_VOXEL_M = 0.3  # its own default, recommended for outdoor scans; its other settings are its defaults too
@@ -104,14 +104,18 @@ def kiss_matcher(raw: RawPair) -> Call:
 
 def open3d_ransac(raw: RawPair) -> Call:
     """Open3D's RANSAC on the voxel grid and the FPFH that svc_ros takes; all of it counts."""
-    from _attempts import run_open3d_ransac
+    import open3d as o3d
+    from _peers import TUTORIAL_ITERATIONS, ransac
 
     from svc_ros.core.registration import extract_features
 
     def call() -> Answer:
-        source, target = (extract_features(scan, raw.config) for scan in (raw.source, raw.target))
-        attempt = run_open3d_ransac(source, target, raw.config)
-        return Answer(attempt.accepted, attempt.T_target_source)
+        (source, fpfh_s), (target, fpfh_t) = (
+            _for_open3d(extract_features(scan, raw.config)) for scan in (raw.source, raw.target)
+        )
+        matches = o3d.pipelines.registration.correspondences_from_features(fpfh_s, fpfh_t, mutual_filter=True)
+        voxel = raw.config.preprocess.voxel_size_m
+        return Answer(True, ransac(source, target, matches, voxel, TUTORIAL_ITERATIONS))
 
     return call
 
@@ -140,6 +144,15 @@ def missing(names: tuple[str, ...] = tuple(CONTENDERS)) -> Iterator[tuple[str, s
 
 def _answer(result: RegistrationResult) -> Answer:
     return Answer(result.accepted, result.best_candidate)
+
+
+def _for_open3d(features: Features) -> tuple[Any, Any]:
+    import open3d as o3d
+
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.array(features.keypoints)))
+    descriptors = o3d.pipelines.registration.Feature()
+    descriptors.data = features.descriptors.T.astype(np.float64)
+    return cloud, descriptors
 
 
 def _within_range(scan: Scan, dataset: Dataset) -> Scan:

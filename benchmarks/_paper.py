@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from _common import SET_ORDER, Dataset, config_of
-from registration import choose, describe
+from _pairs import choose, describe
 
 from svc_ros.core.config import Config
 from svc_ros.core.registration import prepare

@@ -1,7 +1,9 @@
-"""Which sensor a set was taken with: sets that are left out together, so that a fit saw no recording of it."""
+"""Which sensor a set was taken with: sets that are left out together, so that a fit saw no recording of it, and kinds
+of sensors by what a set says of its own."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,6 +18,16 @@ SENSORS = {  # by the name of the set; a set that is not named here is a sensor 
     "tripod_scanner_flat": "tripod scanner", "rgbd_redkitchen": "depth camera, fused",
     "rgbd_single_frames": "depth camera, single frames",
 }  # fmt: skip
+_KINDS = (  # what dataset.json says of the sensor -> its kind; the first that is found counts
+    (r"HDL-64", "HDL-64E"), (r"HDL-32", "HDL-32E"), (r"VLP-16", "VLP-16"), (r"OS0-64", "OS0-64"),
+    (r"OS1-64|Ouster", "OS1-64"), (r"solid.state", "solid state"), (r"Livox", "Livox"), (r"tripod", "tripod scanner"),
+    (r"fused", "depth camera, fused"), (r"depth image|RGB-?D", "depth camera, single frames"),
+)  # fmt: skip
+
+
+def kind_of(sensor: str, otherwise: str) -> str:
+    """The kind of sensor that a data set says it was taken with; `otherwise` if it is none of the known ones."""
+    return next((kind for pattern, kind in _KINDS if re.search(pattern, sensor, re.IGNORECASE)), otherwise)
 
 
 def sensor_of(dataset: str) -> str:

@@ -25,8 +25,8 @@ from _cases import choose_sets
 from _common import Dataset, console, describe_run, parse_options, print_table, read_datasets
 from _contenders import CONTENDERS, Call, RawPair, missing
 from _latest import record
+from _pairs import choose
 from _timing import rotated, time_once_ms
-from registration import choose
 from rich.console import Console
 from rich.progress import track
 

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 from _common import Dataset, console, describe_run, parse_options, print_table, spread, write_report
+from _pairs import choose
 from _paper import add_benchmarks, choose_pairs, config_for, other_sets, read_columns, read_inputs
-from registration import choose
 
 from svc_ros.core import paper_rule
 from svc_ros.core.config import with_values

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from _common import PROJECT_ROOT, Dataset, console, describe_run, parse_options, print_table, read_datasets
 from _latest import record
-from registration import _evenly, choose
+from _pairs import choose, evenly
 from rich.console import Console
 from rich.progress import Progress
 
@@ -74,7 +74,7 @@ def jobs_of(dataset: Dataset, limit: int | None) -> list[dict[str, Any]]:
     """What `_answers_of.py` is asked about a set: its pairs, its negatives, and its labelled poses, grey ones too."""
     limit = limit or _ALL
     asked: list[tuple[Any, Any]] = [(pair, None) for pair in choose(dataset, limit)]
-    asked += [(p, [c.T_target_source.tolist() for c in p.candidates]) for p in _evenly(dataset.candidates, limit)]
+    asked += [(p, [c.T_target_source.tolist() for c in p.candidates]) for p in evenly(dataset.candidates, limit)]
     return [
         {"set": dataset.name, "folder": str(dataset.root.resolve()), "source": pair.source, "target": pair.target,
          "poses": poses} for pair, poses in asked

@@ -1,4 +1,4 @@
-"""Writes the measured tables of README.md and docs/how_it_decides.md from the JSON files in benchmarks/results.
+"""Writes the measured tables of the README and of two pages in docs/ from the JSON files in benchmarks/results.
 
     python benchmarks/tables.py [--check]        (--check writes nothing; exit code 1 where a page is out of date)
 
@@ -11,15 +11,18 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
+
+import _registration_pages
+from _markdown import share, table
 
 from svc_ros.core.config import preset, walk
 
 PROJECT_ROOT = Path(__file__).resolve().parent.parent
 RESULTS = PROJECT_ROOT / "benchmarks" / "results"
-PAGES = (PROJECT_ROOT / "README.md", PROJECT_ROOT / "docs" / "how_it_decides.md")
+PAGES = tuple(PROJECT_ROOT / page for page in ("README.md", "docs/how_it_decides.md", "docs/benchmarks.md"))
 MEASURED = ("decision", "registration", "latest")
 RECORDED, ALL, TRAFFIC, ROOMS = "recorded sets", "all sets", "simulated traffic", "simulated rooms"
 RULES = {  # as decision.py names them -> as the pages do
@@ -42,23 +45,12 @@ PARTS = {  # what is taken away, as decision.py names it -> as the page does
     "svc, no doubt by slips": "doubts by slips",
     "svc, no doubt by half turns": "doubts by half turns",
 }
-METHODS = {  # as registration.py names them -> as the pages do
-    "svc": "`svc`",
-    "svc, no wide search": "`svc` without the wide search",
-    "svc, three-point cliques": "`svc` with three-point cliques in place of SC2",
-    "svc_paper": "`svc_paper`",
-    "sc2": "`sc2`, accepting all",
-    "Open3D RANSAC": "Open3D RANSAC, accepting all",
-    "Open3D FGR": "Open3D FGR, accepting all",
-    "KISS-Matcher": "KISS-Matcher, as it says itself",
-}
 WEIGHTS = {  # of DecisionConfig -> the number that it weighs
     "offset": "offset",
     "denied_weight": "- log of the denied share of what the other sensor could see, both ways",
     "wide_denied_weight": "- log of the same, clusters of denied surface counting by the angle they are seen over",
     "structure_weight": "+ log of the weakest constraint: how much the agreeing surfaces resist a shift",
 }
-OVERLAPS = ("< 0.3", "0.3-0.5", "0.5-0.7", "> 0.7")
 TIMES = {  # README -> where latest.json has it
     "`register`": ("register",),
     "`register`, target described before": ("register", "reused"),
@@ -67,7 +59,6 @@ TIMES = {  # README -> where latest.json has it
     "Open3D RANSAC on FPFH": ("open3d_ransac",),
 }
 Report = Mapping[str, Any]
-Row = Sequence[str]
 
 
 def rules_table(results: Report) -> str:
@@ -75,10 +66,10 @@ def rules_table(results: Report) -> str:
     recorded, both = results["decision"]["decision"][RECORDED], results["decision"]["decision"][ALL]
     head = ("rule", "F1", "false accepts", "AUC", "F1, simulated too", "false accepts, simulated too")
     rows = [
-        (told, *_quality(recorded[rule]), _share(recorded[rule]["roc_auc"]), *_quality(both[rule]))
+        (told, *_quality(recorded[rule]), share(recorded[rule]["roc_auc"]), *_quality(both[rule]))
         for rule, told in RULES.items()
     ]
-    return _table(head, rows)
+    return table(head, rows)
 
 
 def left_out_table(results: Report) -> str:
@@ -89,40 +80,19 @@ def left_out_table(results: Report) -> str:
         own, paper = tables[name]["svc, weights of the other sensors"], tables[name]["svc_paper"]
         right, wrong = own["num_correct"], own["num_wrong"]
         counts = (f"{right - _refused(own)} of {right}" if right else "", f"{own['num_false_accepted']} of {wrong}")
-        quality = (_share(own["f1"] if right else None), _share(errors[name]))
+        quality = (share(own["f1"] if right else None), share(errors[name]))
         of_paper = f"{right - _refused(paper)} of {right}" if right else ""
         rows.append((name, *counts, *quality, of_paper, str(paper["num_false_accepted"])))
     head = (
         "sensor left out of the fit", "right poses accepted", "wrong ones accepted", "F1", "calibration error",
         "right ones accepted by `svc_paper`", "wrong ones",
     )  # fmt: skip
-    return _table(head, rows)
+    return table(head, rows)
 
 
 def calibration_error(results: Report) -> str:
     """Of all answers on left-out sensors."""
-    return _share(results["decision"]["calibration"]["expected_calibration_error"][ALL])
-
-
-def registration_table(results: Report) -> str:
-    """README: whole registrations by every method, all sets together."""
-    table = results["registration"]["registration"][ALL]
-    rows = []
-    for method, told in METHODS.items():
-        low = [sum(counts) for counts in zip(*(table[method]["by_overlap"][o] for o in OVERLAPS[:2]), strict=True)]
-        shares = (f"{table[method]['success_rate']:.2f}", str(table[method]["num_false_accepted"]))
-        rows.append((told, *shares, f"{low[0]} of {low[1]}"))
-    return _table(("method", "accepted and right", "false accepts", "right candidate at overlap below 0.5"), rows)
-
-
-def overlap_table(results: Report) -> str:
-    """Right candidates by overlap."""
-    table = results["registration"]["registration"][ALL]
-    rows = [
-        (told, *("{} of {}".format(*table[method]["by_overlap"][overlap]) for overlap in OVERLAPS))
-        for method, told in METHODS.items()
-    ]
-    return _table(("method", *(f"overlap {overlap}" for overlap in OVERLAPS)), rows)
+    return share(results["decision"]["calibration"]["expected_calibration_error"][ALL])
 
 
 def weights_table(results: Report) -> str:
@@ -133,7 +103,7 @@ def weights_table(results: Report) -> str:
         moved = [test["weights"][name] for test in weights["leave_one_sensor_out"].values()]
         values = (weights["configured"][name], weights["fitted_to_all"][name])
         rows.append((f"`decision.{name}`", told, *map(str, values), f"{min(moved)} to {max(moved)}"))
-    return _table(("value", "what it weighs", "configured", "fitted to all sensors", "with one sensor left out"), rows)
+    return table(("value", "what it weighs", "configured", "fitted to all sensors", "with one sensor left out"), rows)
 
 
 def margins_table(results: Report) -> str:
@@ -147,7 +117,7 @@ def margins_table(results: Report) -> str:
         "sensor", "right poses", "wrong poses in contact", "smallest right margin", "the same, left out of the fit",
         "largest wrong margin", "the same, left out of the fit",
     )  # fmt: skip
-    return _table(head, rows)
+    return table(head, rows)
 
 
 def parts_table(results: Report) -> str:
@@ -157,7 +127,7 @@ def parts_table(results: Report) -> str:
         (told, *_quality(recorded[rule]), *_quality(both[rule]), *(_of_set(results, name, rule) for name in HARD))
         for rule, told in PARTS.items()
     ]
-    return _table((*_PARTS_HEAD, *HARD.values()), rows)
+    return table((*_PARTS_HEAD, *HARD.values()), rows)
 
 
 def numbers_table(results: Report) -> str:
@@ -170,7 +140,7 @@ def numbers_table(results: Report) -> str:
         (told, *_quality(recorded[name]), *_quality(both[name]), *(_of_set(results, hard, name) for hard in HARD))
         for name, told in names.items()
     ]
-    return _table((*_PARTS_HEAD, *HARD.values()), rows)
+    return table((*_PARTS_HEAD, *HARD.values()), rows)
 
 
 _PARTS_HEAD = ("taken away", "F1", "false accepts", "F1, simulated too", "false accepts, simulated too")
@@ -184,19 +154,19 @@ def sets_table(results: Report) -> str:
     for name, num in results["decision"]["num_poses"].items():
         told = [results["decision"]["decision"][name][rule] for rule in rules]
         poses = (f"`{name}`" if " " not in name else name, str(num))
-        rows.append((*poses, *(str(t["num_false_accepted"]) for t in told), *(_share(t["recall"]) for t in told)))
+        rows.append((*poses, *(str(t["num_false_accepted"]) for t in told), *(share(t["recall"]) for t in told)))
     head = ("set", "poses", *(f"{what}, {rule}" for what in ("false accepts", "recall") for rule in rules.values()))
-    return _table(head, rows)
+    return table(head, rows)
 
 
 def covariance_table(results: Report) -> str:
     """Share of true errors within two sigma."""
     rows = [
-        (f"`{name}`" if " " not in name else name, str(found["num_pairs"]), _share(found["within_2_sigma"]),
-         _share(min(found["within_2_sigma_by_axis"].values())))
+        (f"`{name}`" if " " not in name else name, str(found["num_pairs"]), share(found["within_2_sigma"]),
+         share(min(found["within_2_sigma_by_axis"].values())))
         for name, found in results["decision"]["covariance"].items()
     ]  # fmt: skip
-    return _table(("set", "pairs", "within 2 sigma, all six axes at once", "the worst single axis"), rows)
+    return table(("set", "pairs", "within 2 sigma, all six axes at once", "the worst single axis"), rows)
 
 
 def borders_table(_: Report) -> str:
@@ -211,7 +181,7 @@ def borders_table(_: Report) -> str:
             different = dict.fromkeys(str(preset_values[name].default) for preset_values in values)
             unit = f" [{info.unit}]" if info.unit else ""
             rows.append((f"`{name}`", " / ".join(different), f"{info.description}{unit}"))
-    return _table(("border", "value", "meaning"), rows)
+    return table(("border", "value", "meaning"), rows)
 
 
 def rooms_accepted(results: Report) -> str:
@@ -243,20 +213,15 @@ def times_table(results: Report) -> str:
         right = f"{round(found['recall'] * found['pairs'])} of {found['pairs']}"
         ratio = f"{found['ratio_vs_kiss_matcher']:.2g}"
         rows.append((told, f"{found['time_ms_p50']:.0f}", ratio, right))
-    return _table(("", "median [ms]", "against KISS-Matcher", "accepted and right"), rows)
-
-
-def num_registered(results: Report) -> str:
-    """How many pairs the whole registrations are of."""
-    return f"{results['registration']['registration'][ALL]['svc']['num_pairs']} pairs"
+    return table(("", "median [ms]", "against KISS-Matcher", "accepted and right"), rows)
 
 
 SECTIONS: dict[str, Callable[[Report], str]] = {
-    "decision rules": rules_table, "left out": left_out_table, "whole registrations": registration_table,
-    "by overlap": overlap_table, "weights": weights_table, "margins": margins_table, "parts": parts_table,
-    "numbers": numbers_table, "by set": sets_table, "covariance": covariance_table, "borders": borders_table,
-    "rooms accepted": rooms_accepted, "traffic refused": traffic_refused, "pose counts": pose_counts,
-    "num registered": num_registered, "times": times_table, "calibration error": calibration_error,
+    "decision rules": rules_table, "left out": left_out_table, "weights": weights_table, "margins": margins_table,
+    "parts": parts_table, "numbers": numbers_table, "by set": sets_table, "covariance": covariance_table,
+    "borders": borders_table, "rooms accepted": rooms_accepted, "traffic refused": traffic_refused,
+    "pose counts": pose_counts, "times": times_table, "calibration error": calibration_error,
+    **_registration_pages.SECTIONS,
 }  # fmt: skip
 
 
@@ -287,25 +252,11 @@ def _refused(found: Report) -> int:
 
 
 def _quality(found: Report) -> tuple[str, str]:
-    return _share(found["f1"]), str(found["num_false_accepted"])
-
-
-def _share(value: float | None) -> str:
-    return "" if value is None else f"{value:.3f}"
+    return share(found["f1"]), str(found["num_false_accepted"])
 
 
 def _margin(value: float | None) -> str:
     return "" if value is None else f"{value:+.2f}"
-
-
-def _table(head: Row, rows: Iterable[Row]) -> str:
-    rows = list(rows)
-    right = ["---:" if all(_is_number(row[k]) for row in rows) else "---" for k in range(len(head))]
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, right, *rows))
-
-
-def _is_number(cell: str) -> bool:
-    return cell.replace(" of ", "").replace(" to ", "").strip("+-.0123456789 ") == "" and "-" not in cell[1:2]
 
 
 def read_results(folder: Path) -> dict[str, Report]:

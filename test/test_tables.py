@@ -1,4 +1,4 @@
-"""The measured tables of README.md and docs/how_it_decides.md are what benchmarks/tables.py makes of the results."""
+"""The measured tables of the README and the pages are what benchmarks/tables.py makes of the results."""
 
 from __future__ import annotations
 
@@ -14,11 +14,14 @@ from test_readme import module_from
 from svc_ros.core.seen_surface import look_through
 
 PAGE = PROJECT_ROOT / "docs" / "how_it_decides.md"
+BENCHMARKS = PROJECT_ROOT / "docs" / "benchmarks.md"
 
 
 @pytest.fixture(scope="module")
 def tables():
-    return module_from(PROJECT_ROOT / "benchmarks" / "tables.py")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(PROJECT_ROOT / "benchmarks"))
+        yield module_from(PROJECT_ROOT / "benchmarks" / "tables.py")
 
 
 @pytest.fixture(scope="module")
@@ -42,12 +45,16 @@ def test_changed_results_change_the_tables(tables, results):
     decision, registration = changed["decision"], changed["registration"]
     decision["decision"]["recorded sets"]["svc"]["num_false_accepted"] = 987
     decision["decision"]["simulated rooms"]["svc"]["num_false_accepted"] = 54
-    registration["registration"]["all sets"]["svc"]["by_overlap"]["< 0.3"] = [33, 44]
+    answer = {"dataset": "new", "overlap": 0.05, "method": "svc", "accepted": True, "correct": True}
+    registration["pairs"] += [answer] * 33 + [{**answer, "correct": False}] * 11
+    before = tables.fill(BENCHMARKS.read_text("utf-8"), results)
     written = tables.fill(PAGE.read_text("utf-8"), changed)
     assert f"| nothing | {decision['decision']['recorded sets']['svc']['f1']:.3f} | 987 |" in written
     assert f"54 of {decision['decision']['simulated rooms']['svc']['num_wrong']}<!-- /rooms accepted -->" in written
-    assert "| `svc` | 33 of 44 |" in written
+    low = [r for r in results["registration"]["pairs"] if r["method"] == "svc" and (r["overlap"] or 1.0) < 0.1]
+    assert f"| `svc` | {sum(r['correct'] for r in low) + 33} of {len(low) + 44} |" in written
     assert tables.fill(written, results) == PAGE.read_text("utf-8")
+    assert "| new | 44 | 33, **11 wrong** |" in tables.fill(before, changed)
 
 
 def test_times_are_those_of_the_last_comparison(tables):
