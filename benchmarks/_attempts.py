@@ -13,7 +13,7 @@ import numpy as np
 from _cliques import generate_clique_hypotheses
 from _peers import PEERS, Attempt, Method
 
-from svc_ros.core import registration, shortlist
+from svc_ros.core import looks, shortlist
 from svc_ros.core.config import Config, with_values
 from svc_ros.core.scan import Scan
 from svc_ros.pipeline.decide import register_pair
@@ -24,7 +24,12 @@ CHANGES: dict[str, Mapping[str, Any]] = {
     "sc2": {"method": "sc2"},
     "svc, one-way matches": {"matching.strategy": "one_way"},
     "svc, shortlist by rank": {},
-    "svc, no wide search": {"shortlist.rough_poses": 0},
+    "svc, no look on the ground": {"hypotheses.levelled_poses": 0},
+    "svc, one threshold, not on the ground": {"hypotheses.levelled_poses": 0},
+    "svc, first look only": {"hypotheses.levelled_poses": 0, "shortlist.rough_poses": 0},
+    "svc, wider FPFH too, not on the ground": {
+        "hypotheses.levelled_poses": 0, "matching.more_descriptors": "fpfh_wide",
+    },
     "svc, a fifth of the seeds": {"hypotheses.seed_ratio": 0.2},
     "svc, three-point cliques": {},
     "svc, gravity within 10 deg": {"hypotheses.gravity_aligned": True, "hypotheses.max_tilt_deg": 10.0},
@@ -50,13 +55,21 @@ def run_without_prescore(source: Scan, target: Scan, config: Config) -> Attempt:
 
 def run_with_cliques(source: Scan, target: Scan, config: Config) -> Attempt:
     """register() with hypotheses from three correspondences each instead of SC2-PCR's sets."""
-    with patch.object(registration, "generate_hypotheses", generate_clique_hypotheses):
+    cliques = generate_clique_hypotheses
+    with patch.multiple(looks, generate_hypotheses=cliques, pool_hypotheses=cliques):
+        return run_svc_ros(source, target, config)
+
+
+def run_with_one_threshold(source: Scan, target: Scan, config: Config) -> Attempt:
+    """register() whose last look has hypotheses of the configured compatibility threshold only."""
+    with patch.object(looks, "pool_hypotheses", looks.generate_hypotheses):
         return run_svc_ros(source, target, config)
 
 
 PATCHED: dict[str, Method] = {
     "svc, shortlist by rank": run_without_prescore,
     "svc, three-point cliques": run_with_cliques,
+    "svc, one threshold, not on the ground": run_with_one_threshold,
 }
 METHODS = (*CHANGES, *PEERS)
 COMPARED = ("svc", *PEERS)  # unless others are asked for
