@@ -12,10 +12,10 @@ TOLD = {  # methods as registration.py names them -> as the pages do, where that
     "svc": "`svc`",
     "svc_paper": "`svc_paper`",
     "sc2": "`sc2`",
-    "svc, first look only": "`svc`, first look only",
+    "svc, first look only": "`svc` without both wider looks",
     "svc, no look on the ground": "`svc` without the look on the ground",
-    "svc, one threshold, not on the ground": "the same, and no pooled thresholds",
-    "svc, wider FPFH too, not on the ground": "the same, and FPFH of 2.4 times the radius besides",
+    "svc, one threshold, not on the ground": "`svc`, not on the ground, thresholds not pooled",
+    "svc, wider FPFH too, not on the ground": "`svc`, not on the ground, a wider FPFH besides",
     "svc, three-point cliques": "`svc` with three-point cliques in place of SC2",
 }
 LOW = tuple(name for name, _, high in BINS if high <= 0.3)
