@@ -65,7 +65,9 @@ REASON_TEXTS: Mapping[Reason, ReasonText] = MappingProxyType({
         "process_every for a replay; fewer pairs, or larger voxels",
     ),
     Reason.INACTIVE: ReasonText("the node is disabled or not active", "call ~/enable, or activate it"),
-    Reason.INTERNAL_ERROR: ReasonText("a defect of this software; the log has the traceback", "report it"),
+    Reason.INTERNAL_ERROR: ReasonText(
+        "a defect of this software, or of a descriptor that the detail names; the log has the traceback", "report it"
+    ),
 })  # fmt: skip
 
 VERDICT_TEXTS: Mapping[Verdict, str] = MappingProxyType({
