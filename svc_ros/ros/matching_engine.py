@@ -19,7 +19,7 @@ from svc_ros.pipeline.scan_matching import ScanMatcher
 from svc_ros.pipeline.stream import StreamDecision, refuse_scan
 from svc_ros.ros.decision import CloudReader, Decision, Look
 from svc_ros.ros.odometry_track import OdometryTrack
-from svc_ros.ros.registrar import made_up_scan
+from svc_ros.ros.registrar import made_up_scan, warm_up
 from svc_ros.ros.worker import CloudLabel, DropJob, Job, PairJob, ScanJob
 
 
@@ -58,7 +58,11 @@ class MatchingEngine:
         self._track = OdometryTrack()
 
     def warm_up(self, config: Config) -> None:
-        """Match a small made-up scan with itself, twice, so that everything is imported and compiled."""
+        """Match a small made-up scan with itself, twice, so that everything is imported and compiled.
+
+        And register as a recovery will.
+        """
+        warm_up(config)
         scan, matcher = made_up_scan(config), ScanMatcher(config)
         for stamp_ns in (1, 100_000_001, 200_000_001):
             matcher.add(Scan(scan.points, stamp_ns))

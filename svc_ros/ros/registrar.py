@@ -143,18 +143,22 @@ def _look(works: tuple[ScanWork, ScanWork], T_target_source: Array | None, frame
 
 
 def warm_up(config: Config) -> None:
-    """Register a small made-up scene, so that everything is imported and compiled before the first real pair."""
+    """Register two small made-up scenes, so that everything is imported and compiled before the first real pair.
+
+    Each with itself is soon accepted; one with the other is looked at as long as any pair.
+    """
     scan = made_up_scan(config)
     register_pair(scan, scan, config)
+    register_pair(made_up_scan(config, seed=1), scan, config)
 
 
-def made_up_scan(config: Config) -> Scan:
-    """A floor with bumps and a wall, large enough for the voxels of `config`."""
+def made_up_scan(config: Config, seed: int = 0) -> Scan:
+    """A floor with bumps and a wall, large enough for the voxels of `config`; other seeds have it elsewhere."""
     v = config.preprocess.voxel_size_m
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     across = rng.uniform(-1, 1, (6000, 3)) * 40 * v
     across[:3000, 2] = -8 * v + np.sin(across[:3000, 0] / (5 * v)) * np.cos(across[:3000, 1] / (7 * v)) * 3 * v
-    across[3000:, 0] = 30 * v + np.sin(across[3000:, 1] / (4 * v)) * 3 * v
+    across[3000:, 0] = (30 - 18 * seed) * v + np.sin(across[3000:, 1] / ((4 + 3 * seed) * v)) * 3 * v
     return Scan(across)
 
 
