@@ -17,3 +17,9 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"real data not found at {folder} (set SVC_ROS_DATA)")
     return folder
+
+
+@pytest.fixture
+def scripts(monkeypatch) -> None:
+    """The scripts in benchmarks/ can be imported; they import each other from their own folder."""
+    monkeypatch.syspath_prepend(str(PROJECT_ROOT / "benchmarks"))

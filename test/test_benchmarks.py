@@ -26,9 +26,8 @@ RUN = {
 
 
 @pytest.fixture(autouse=True)
-def scripts(monkeypatch):
-    """The scripts import each other from their own folder, and do not repeat calls for exact times."""
-    monkeypatch.syspath_prepend(str(FOLDER))
+def no_exact_times(scripts, monkeypatch):
+    """Calls are not repeated for exact times."""
     import _timing
 
     monkeypatch.setattr(_timing, "_SHORT_MS", 2.0)

@@ -23,16 +23,11 @@ from svc_ros.core.result import Verdict
 from svc_ros.io.datasets import read_dataset
 
 FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
+pytestmark = pytest.mark.usefixtures("scripts")
 ONE, SAME = "os1_64_seosan", "os1_64_yard"  # two sets of one sensor
 CONFIGS = {name: preset("lidar_outdoor") for name in ("a", "b", ONE, SAME)}
 SENSOR_NAMES = ["a", "b", "OS1-64"]
 OTHER_SENSORS = {"denied_weight": 1.0, "wide_denied_weight": 1.0, "structure_weight": 3.0, "offset": 0.0}
-
-
-@pytest.fixture(autouse=True)
-def scripts(monkeypatch):
-    """The scripts import each other from their own folder."""
-    monkeypatch.syspath_prepend(str(FOLDER))
 
 
 @pytest.fixture(scope="module")

@@ -13,13 +13,7 @@ from mini_data import POSES, pose_between, scan_room, write_dataset
 
 from svc_ros.core import se3
 
-FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
-
-
-@pytest.fixture(autouse=True)
-def scripts(monkeypatch):
-    """The scripts import each other from their own folder."""
-    monkeypatch.syspath_prepend(str(FOLDER))
+pytestmark = pytest.mark.usefixtures("scripts")
 
 
 @pytest.fixture(scope="module")

@@ -13,13 +13,7 @@ from mini_data import write_dataset
 from svc_ros.core.se3 import pose_error
 from svc_ros.io.datasets import read_dataset
 
-FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
-
-
-@pytest.fixture(autouse=True)
-def scripts(monkeypatch):
-    """The scripts import each other from their own folder."""
-    monkeypatch.syspath_prepend(str(FOLDER))
+pytestmark = pytest.mark.usefixtures("scripts")
 
 
 @pytest.fixture(scope="module")

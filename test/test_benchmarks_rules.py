@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,18 +11,12 @@ from decision_rows import evidence, row, toy_rows
 from svc_ros.core.config import preset
 from svc_ros.io.datasets import read_dataset
 
-FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
+pytestmark = pytest.mark.usefixtures("scripts")
 ONE, SAME = "os1_64_seosan", "os1_64_yard"  # two sets of one sensor
 CONFIG = preset("lidar_outdoor")
 CONFIGS = dict.fromkeys(("a", "b", ONE, SAME), CONFIG)
 GOOD, BAD = evidence(0.004, 0.25), evidence(0.4, 0.25)
 MOVED = {"moved": (0.0, 50.0)}
-
-
-@pytest.fixture(autouse=True)
-def scripts(monkeypatch):
-    """The scripts import each other from their own folder."""
-    monkeypatch.syspath_prepend(str(FOLDER))
 
 
 def answer(variant: str, seen, slips=(), turns=(), **changes) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,17 +10,11 @@ import pytest
 from svc_ros.core import se3
 from svc_ros.core.config import PRESETS
 
-FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
+pytestmark = pytest.mark.usefixtures("scripts")
 GROUPS = (
     "simulated smear", "simulated mixed pixels and glass", "simulated narrow view", "simulated depth camera",
     "simulated tripod",
 )  # fmt: skip
-
-
-@pytest.fixture(autouse=True)
-def scripts(monkeypatch):
-    """The scripts import each other from their own folder."""
-    monkeypatch.syspath_prepend(str(FOLDER))
 
 
 def first_place(group: str):

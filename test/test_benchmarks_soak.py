@@ -8,21 +8,14 @@ import json
 import math
 import sys
 from collections import Counter
-from pathlib import Path
 
 import pytest
 from bag_recorder import Recorder
 from mini_data import scan_room, sensor_pose
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
+pytestmark = pytest.mark.usefixtures("scripts")
 SECOND = 1_000_000_000
-
-
-@pytest.fixture(autouse=True)
-def scripts(monkeypatch):
-    """The scripts import each other from their own folder."""
-    monkeypatch.syspath_prepend(str(FOLDER))
 
 
 PAIR = {

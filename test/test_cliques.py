@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import reference
@@ -15,11 +13,7 @@ from svc_ros.core.scan import Correspondences
 
 CONFIG = HypothesisConfig(compatibility_threshold_m=0.3)
 
-
-@pytest.fixture(autouse=True)
-def scripts(monkeypatch):
-    """The scripts import each other from their own folder."""
-    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parent.parent / "benchmarks"))
+pytestmark = pytest.mark.usefixtures("scripts")
 
 
 def slow_weights(case: Correspondences, threshold_m: float) -> np.ndarray:

@@ -24,11 +24,7 @@ JOBS = [
     {"set": "room", "folder": "", "source": "c", "target": "d", "poses": [POSE, POSE]},
 ]
 
-
-@pytest.fixture(autouse=True)
-def scripts(monkeypatch):
-    """The scripts import each other from their own folder."""
-    monkeypatch.syspath_prepend(str(FOLDER))
+pytestmark = pytest.mark.usefixtures("scripts")
 
 
 @pytest.fixture
