@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-_jit = njit(nogil=True, cache=True, error_model="numpy")
+from svc_ros.core.se3 import RANK_TOLERANCE
 
-_RANK_TOLERANCE = 1e-6  # as in se3.kabsch
+_jit = njit(nogil=True, cache=True, error_model="numpy")
 
 
 @_jit
@@ -52,7 +52,7 @@ def _fit(x, y, weights, T):  # type: ignore[no-untyped-def]
                 for j in range(3):
                     cov[i, j] += weights[c] * (x[c, i] - mean_x[i]) * (y[c, j] - mean_y[j])
     U, singular, Vt = np.linalg.svd(cov)
-    if not singular[1] > _RANK_TOLERANCE * singular[0]:
+    if not singular[1] > RANK_TOLERANCE * singular[0]:
         return False
     V = np.ascontiguousarray(Vt.T)
     if np.linalg.det(V) * np.linalg.det(U) < 0.0:

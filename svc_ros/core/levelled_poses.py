@@ -19,6 +19,7 @@ from svc_ros.core.levelling import Level
 from svc_ros.core.parallel import on_all_processors
 from svc_ros.core.scan import Array, PreparedScan
 from svc_ros.core.se3 import invert, make_pose
+from svc_ros.core.shortlist import select_apart
 from svc_ros.core.wall_map import Raster, WallMap, choose_raster, wall_map
 
 _TURNS = 120  # of 3 deg, a multiple of 4
@@ -79,16 +80,13 @@ def _peaks(score: NDArray[np.float32], turn: int) -> Array:
 def _distinct(peaks: Array, limit: int, raster: Raster) -> Array:
     """The best rows, none near one that stands before it."""
     peaks = peaks[np.argsort(-peaks[:, 0], kind="stable")]
-    free, chosen = np.isfinite(peaks[:, 0]), list[int]()
     around = np.array([_TURNS, raster.size, raster.size])
-    for k in range(len(peaks)):
-        if len(chosen) == limit:
-            break
-        if free[k]:
-            chosen.append(k)
-            apart = np.abs(peaks[:, 1:] - peaks[k, 1:])
-            free &= (np.minimum(apart, around - apart) > (_NEAR_TURNS, _NEAR_CELLS, _NEAR_CELLS)).any(1)
-    return peaks[chosen]
+
+    def near(k: int) -> NDArray[np.bool_]:
+        apart = np.abs(peaks[:, 1:] - peaks[k, 1:])
+        return np.asarray((np.minimum(apart, around - apart) <= (_NEAR_TURNS, _NEAR_CELLS, _NEAR_CELLS)).all(1))
+
+    return peaks[select_apart(np.isfinite(peaks[:, 0]), near, limit)]
 
 
 def _pose(source: WallMap, target: WallMap, peak: Array, raster: Raster) -> Array:

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 _ROTATION_TOLERANCE = 1e-4  # accepts matrices printed with five digits
 _NEARLY, _EXACT, _STEPS = 0.3, 4e-16, 8  # a rotation but for rounding: then a few steps lead to the nearest one
-_RANK_TOLERANCE = 1e-6  # second singular value over the first, below which a point set is a line
+RANK_TOLERANCE = 1e-6  # second singular value over the first, below which a point set is a line
 
 
 def make_pose(rotation: ArrayLike, translation: ArrayLike) -> Array:
@@ -147,7 +147,7 @@ def kabsch(source: ArrayLike, target: ArrayLike, weights: ArrayLike) -> tuple[Ar
     sign = np.where(np.linalg.det(V @ np.swapaxes(U, -1, -2)) < 0, -1.0, 1.0)
     V[..., :, 2] *= sign[:, None]  # a reflection is turned into the nearest rotation
     R = V @ np.swapaxes(U, -1, -2)
-    valid = (singular[:, 0] > 0) & (singular[:, 1] > _RANK_TOLERANCE * singular[:, 0])
+    valid = (singular[:, 0] > 0) & (singular[:, 1] > RANK_TOLERANCE * singular[:, 0])
     T = make_pose(R, mean_y - np.einsum("hij,hj->hi", R, mean_x))
     T[~valid] = np.nan
     return T, valid

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -16,14 +17,24 @@ from svc_ros.core.scan import Array, Correspondences, HypothesisSet, IndexArray,
 
 def select_distinct(T: Array, config: ShortlistConfig, limit: int) -> IndexArray:
     """Indices of at most `limit` poses (H, 4, 4), in order, none near one that stands before it."""
+    return select_apart(np.ones(len(T), bool), lambda i: find_near(T, T[i], config), limit)
+
+
+def select_apart(
+    wanted: NDArray[np.bool_], near: Callable[[int], NDArray[np.bool_]], limit: int
+) -> IndexArray:
+    """Indices of at most `limit` of the wanted (H,), in order, none near one that is chosen before it.
+
+    near: index -> mask (H,) of those that stand for the same.
+    """
     chosen: list[int] = []
-    free = np.ones(len(T), bool)
-    for i in range(len(T)):
+    free = wanted.copy()
+    for i in range(len(free)):
         if len(chosen) == limit:
             break
         if free[i]:
             chosen.append(i)
-            free &= ~find_near(T, T[i], config)
+            free &= ~near(i)
     return np.asarray(chosen, np.int64)
 
 
