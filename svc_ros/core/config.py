@@ -64,7 +64,7 @@ class MatchingConfig(Group):
     first_points: int = value(4500, "so many are matched at first, all if that is not accepted; 0: all", "", 0, 10**6)
     max_correspondences: int = value(5000, "the best by distance (ratio: by ratio) are kept", "", 3, 100_000)
     min_correspondences: int = value(10, "fewer are answered with too_few_correspondences", "", 3, 100_000)
-    more_descriptors: str = value("", "descriptors whose matches join the second look: names with commas")
+    more_descriptors: str = value("", "descriptors whose matches join the last look: names with commas")
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -39,7 +39,7 @@ def register(
     ConfigError, MissingDependencyError or DescriptorError.
     """
     pair = _prepared_pair(source, target, config)
-    # Match descriptors: those of every point, or what was matched elsewhere.
+    # Describe both scans, unless they are matched elsewhere; matches are made when a look asks for them.
     matcher = _matcher(pair, source, target, correspondences)
     # Look for the pose and judge it, each method in its own way; the default one looks up to three times.
     return METHODS[config.method](pair, matcher)
