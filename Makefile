@@ -6,7 +6,7 @@
 MODE := $(if $(ROS_DISTRO)$(AMENT_PREFIX_PATH),apt,wheels)
 PY := .venv/bin/python
 STAMP := .venv/.ready-$(MODE)
-BENCHMARKS := $(sort $(filter-out benchmarks/_%,$(wildcard benchmarks/*.py)))
+BENCHMARKS := $(sort $(wildcard benchmarks/*.py))
 
 # Started from inside the environment, the guard of its ROS wheels would reach other interpreters.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE

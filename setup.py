@@ -45,7 +45,7 @@ setup(
     maintainer="The svc_ros authors",
     maintainer_email="maintainers@svc-ros.invalid",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={PACKAGE: ["py.typed", "evaluation/report_page/*"]},
+    package_data={PACKAGE: ["py.typed", "report/page/*"]},
     data_files=shared_files(),
     zip_safe=False,
     python_requires=">=3.10",

@@ -24,8 +24,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from _common import PROJECT_ROOT, config_of, console, describe_run, parse_options, print_table, write_report
-from _paper import other_sets
+from lib.common import PROJECT_ROOT, config_of, console, describe_run, parse_options, print_table, write_report
+from lib.paper import other_sets
 
 from svc_ros.evaluation.distributed import LOCAL, run_over
 from svc_ros.evaluation.runner import evaluate_datasets

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _common import PROJECT_ROOT, console, describe_run, parse_options
-from _latest import record
+from lib.common import PROJECT_ROOT, console, describe_run, parse_options
+from lib.latest import record
 
 from svc_ros.ros.processes import ChildProcess, local_environment, own_domain_id
 

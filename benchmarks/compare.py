@@ -21,12 +21,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _cases import choose_sets
-from _common import Dataset, console, describe_run, parse_options, print_table, read_datasets
-from _contenders import CONTENDERS, Call, RawPair, missing
-from _latest import record
-from _pairs import choose
-from _timing import rotated, time_once_ms
+from lib.cases import choose_sets
+from lib.common import Dataset, console, describe_run, parse_options, print_table, read_datasets
+from lib.contenders import CONTENDERS, Call, RawPair, missing
+from lib.latest import record
+from lib.pairs import choose
+from lib.timing import rotated, time_once_ms
 from rich.console import Console
 from rich.progress import track
 
@@ -117,11 +117,10 @@ def judge(raw: RawPair, call: Call) -> PairOutcome:
 
 def peaks(method: str, datasets: Sequence[Dataset]) -> dict[str, Any]:
     """Megabytes of a method at most, and before its packages were loaded, in a process of its own, by set."""
-    script = Path(__file__).with_name("_peak.py")
     found = {}
     for dataset in datasets:
-        command = [sys.executable, str(script), method, str(dataset.root)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        command = [sys.executable, "-m", "lib.peak", method, str(dataset.root.resolve())]
+        done = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=False)
         if done.returncode:
             sys.exit(f"{' '.join(command)}: ended with {done.returncode}\n{done.stderr}")
         found[dataset.name] = json.loads(done.stdout.splitlines()[-1])

@@ -15,16 +15,14 @@ from collections.abc import Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any
 
-import _calibration
-import _rules
-import _sensors
-import _simulated
-import _simulated_halls
-import _simulated_sensors
-import _spread_of_errors
-import _weights
 import numpy as np
-from _common import (
+from lib import calibration as _calibration
+from lib import rules as _rules
+from lib import sensors as _sensors
+from lib import simulated as _simulated
+from lib import simulated_halls, simulated_sensors, spread_of_errors
+from lib import weights as _weights
+from lib.common import (
     Dataset,
     config_of,
     console,
@@ -35,7 +33,7 @@ from _common import (
     spread,
     write_report,
 )
-from _evidence import Row, check_against_verify, gather
+from lib.evidence import Row, check_against_verify, gather
 
 from svc_ros.core.config import preset
 from svc_ros.evaluation.metrics import LabelledDecision, decision_metrics
@@ -48,7 +46,7 @@ IN_PICTURE = (
     "svc", OTHERS, "svc, not refined", "svc, nothing denied", "denied share alone", "svc_paper", "overlap 0.3",
     "logistic, no sight lines", "logistic, sight lines",
 )  # fmt: skip
-SIMULATED = {"traffic and rooms": _simulated, "simulated sensors": _simulated_sensors, "halls": _simulated_halls}
+SIMULATED = {"traffic and rooms": _simulated, "simulated sensors": simulated_sensors, "halls": simulated_halls}
 Answers = dict[str, list[_rules.Answer]]
 
 
@@ -61,7 +59,7 @@ def main() -> None:
 
     options = parse_options("Compare decision rules on labelled poses.", extend)
     datasets = [d for d in read_datasets(options.data) if d.candidates]
-    given = {} if options.no_simulated else _simulated.PRESETS | _simulated_sensors.PRESETS | _simulated_halls.PRESETS
+    given = {} if options.no_simulated else _simulated.PRESETS | simulated_sensors.PRESETS | simulated_halls.PRESETS
     simulated = {name: preset(of_group) for name, of_group in given.items()}
     configs = {d.name: config_of(d) for d in datasets} | simulated
     rows, run = collect(datasets, options, bool(simulated))
@@ -175,11 +173,11 @@ def check_covariance(
     report, table = {}, []
     for name, config in configs.items():
         accepted = [r for r, (ok, _) in zip(rows, given, strict=True) if ok and r.correct and r.dataset == name]
-        measured = _spread_of_errors.measure(accepted, config.covariance)
+        measured = spread_of_errors.measure(accepted, config.covariance)
         if measured is None:
             continue
-        wanted = _spread_of_errors.fit_points_per_constraint(accepted, config.covariance)
-        wanted_by_axis = _spread_of_errors.fit_points_per_constraint(accepted, config.covariance, axis_wise=True)
+        wanted = spread_of_errors.fit_points_per_constraint(accepted, config.covariance)
+        wanted_by_axis = spread_of_errors.fit_points_per_constraint(accepted, config.covariance, axis_wise=True)
         used = config.covariance.points_per_constraint
         report[name] = {
             **measured, "points_per_constraint": used, "points_per_constraint_for_95": wanted,
@@ -188,7 +186,7 @@ def check_covariance(
         by_axis = measured["within_2_sigma_by_axis"].values()
         shares = (measured["within_2_sigma"], *by_axis)
         table.append((name, measured["num_pairs"], *shares, used, *map(_at_least, (wanted, wanted_by_axis))))
-    head = ("set", "pairs", "all six", *_spread_of_errors.AXES, "points per constraint", "for 95 %", "axis by axis")
+    head = ("set", "pairs", "all six", *spread_of_errors.AXES, "points per constraint", "for 95 %", "axis by axis")
     title = "Errors of accepted right poses within 2 sigma (the references themselves are 1-10 cm off)"
     print_table(title, head, table)
     return report

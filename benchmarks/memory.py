@@ -18,16 +18,16 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from _common import Dataset, config_of, console, describe_run, parse_options, read_datasets
-from _latest import record
-from _resident import peak_mb, resident_mb
+from lib.common import Dataset, config_of, console, describe_run, parse_options, read_datasets
+from lib.latest import record
+from lib.resident import peak_mb, resident_mb
 
 from svc_ros.core import se3
 from svc_ros.core.config import Config
 from svc_ros.core.scan import Array
-from svc_ros.io.point_cloud2 import cloud_layout
-from svc_ros.ros.registrar import PairRegistrar, warm_up
-from svc_ros.ros.worker import Cloud, Job, PairJob, Worker
+from svc_ros.io.clouds.point_cloud2 import cloud_layout
+from svc_ros.ros.streams.registrar import PairRegistrar, warm_up
+from svc_ros.ros.streams.worker import Cloud, Job, PairJob, Worker
 
 SET = "hdl64_kitti_a"
 MIDDLEWARE = "svc_ros.ros.registration_node"  # its libraries are part of what the node needs

@@ -18,14 +18,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _common import Dataset, console, describe_run, parse_options, print_table, spread, write_report
-from _pairs import choose
-from _paper import add_benchmarks, choose_pairs, config_for, other_sets, read_columns, read_inputs
+from lib.common import Dataset, console, describe_run, parse_options, print_table, spread, write_report
+from lib.pairs import choose
+from lib.paper import add_benchmarks, choose_pairs, config_for, other_sets, read_columns, read_inputs
 
-from svc_ros.core import paper_rule
 from svc_ros.core.config import with_values
 from svc_ros.core.registration import register, verify
 from svc_ros.core.se3 import pose_error
+from svc_ros.core.sight import paper_rule
 from svc_ros.evaluation.metrics import LabelledDecision, decision_metrics
 from svc_ros.io.datasets import Pair
 

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _common import config_of, console, describe_run, parse_options, print_table, spread, write_report
-from _paper import Column, add_benchmarks, choose_pairs, other_sets, read_columns, read_inputs
+from lib.common import config_of, console, describe_run, parse_options, print_table, spread, write_report
+from lib.paper import Column, add_benchmarks, choose_pairs, other_sets, read_columns, read_inputs
 
 from svc_ros.core.config import with_values
 from svc_ros.evaluation.metrics import PairOutcome, judge_pose

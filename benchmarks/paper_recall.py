@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _common import config_of, console, describe_run, parse_options, print_table, write_report
-from _paper import METHODS, PUBLISHED, Column, add_benchmarks, choose_pairs, read_columns
+from lib.common import config_of, console, describe_run, parse_options, print_table, write_report
+from lib.paper import METHODS, PUBLISHED, Column, add_benchmarks, choose_pairs, read_columns
 from rich.progress import Progress
 
 from svc_ros.core.config import with_values

@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _cases import read_case
-from _checks import OURS, PAPER, PAPER_TWIN, TWIN, compare_checks
-from _common import console, describe_run, parse_options, print_table, write_report
-from _paper import other_sets
-from _timing import exponent
+from lib.cases import read_case
+from lib.checks import OURS, PAPER, PAPER_TWIN, TWIN, compare_checks
+from lib.common import console, describe_run, parse_options, print_table, write_report
+from lib.paper import other_sets
+from lib.timing import exponent
 
 SETS = ("rgbd_redkitchen", "hdl64_kitti_a", "os1_64_seosan")
 POINTS = (2000, 4000, 6000, 8000, 10_000)

@@ -13,8 +13,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from _attempts import ACCEPTS, CHANGES, COMPARED, METHODS, PREPARED, method_of, why_not
-from _common import (
+from lib.attempts import ACCEPTS, CHANGES, COMPARED, METHODS, PREPARED, method_of, why_not
+from lib.common import (
     Dataset,
     config_of,
     console,
@@ -25,11 +25,11 @@ from _common import (
     spread,
     write_report,
 )
-from _pairs import choose
-from _peers import Attempt
-from _registration_plot import draw
-from _sensors import kind_of
-from _tally import BINS, NEGATIVES, tabulate
+from lib.pairs import choose
+from lib.peers import Attempt
+from lib.registration_plot import draw
+from lib.sensors import kind_of
+from lib.tally import BINS, NEGATIVES, tabulate
 
 from svc_ros.evaluation.metrics import PairOutcome, judge_pose
 from svc_ros.io.datasets import Pair

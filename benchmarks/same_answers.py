@@ -24,15 +24,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _common import PROJECT_ROOT, Dataset, console, describe_run, parse_options, print_table, read_datasets
-from _latest import record
-from _pairs import choose, evenly
+from lib.common import PROJECT_ROOT, Dataset, console, describe_run, parse_options, print_table, read_datasets
+from lib.latest import record
+from lib.pairs import choose, evenly
 from rich.console import Console
 from rich.progress import Progress
 
 BOUND = 1e-6  # of any entry of a pose: metres, or entries of the rotation matrix
 HEAD = ("set", "answers", "other verdict", "other reason", "other pose", "pose, at most", "probability, at most")
-RUNNER = Path(__file__).with_name("_answers_of.py")
+RUNNER = Path(__file__).parent / "lib" / "answers_of.py"
 COMPARED = ("verdict", "reason", "best_candidate", "probability")
 _ALL = sys.maxsize
 Answer = Mapping[str, Any]
@@ -71,7 +71,7 @@ def extend(parser: argparse.ArgumentParser) -> None:
 
 
 def jobs_of(dataset: Dataset, limit: int | None) -> list[dict[str, Any]]:
-    """What `_answers_of.py` is asked about a set: its pairs, its negatives, and its labelled poses, grey ones too."""
+    """What `lib/answers_of.py` is asked about a set: its pairs, its negatives, its labelled poses, grey ones too."""
     limit = limit or _ALL
     asked: list[tuple[Any, Any]] = [(pair, None) for pair in choose(dataset, limit)]
     asked += [(p, [c.T_target_source.tolist() for c in p.candidates]) for p in evenly(dataset.candidates, limit)]

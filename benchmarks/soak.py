@@ -18,11 +18,11 @@ from itertools import cycle, repeat
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from _common import DEFAULT_DATA, console, describe_run, parse_options, print_table, write_report
-from _soak_checks import Record, checks, summary
+from lib.common import DEFAULT_DATA, console, describe_run, parse_options, print_table, write_report
+from lib.soak_checks import Record, checks, summary
 
 if TYPE_CHECKING:
-    from _soak_bench import Clouds
+    from lib.soak_bench import Clouds
     from sensor_msgs.msg import PointCloud2
 
 MODES = ("pair", "scan_matching", "loop_closure")
@@ -74,7 +74,7 @@ def read_clouds(bag_path: Path) -> list[PointCloud2]:
 
 def soak(mode: str, clouds: list[PointCloud2], options: argparse.Namespace) -> Record:
     """What the node tells while one mode is played alone and then too fast."""
-    from _soak_bench import NodeUnderLoad
+    from lib.soak_bench import NodeUnderLoad
 
     seconds = options.seconds / len(options.modes)
     with tempfile.TemporaryDirectory() as folder, NodeUnderLoad(mode, options.preset, Path(folder)) as node:

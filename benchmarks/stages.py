@@ -12,26 +12,36 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from _cases import Case, SizedPair, choose_evenly, choose_sets, correspond, forget, read_case, spread_indices, thin_pair
-from _checks import compare_checks, compare_hypotheses
-from _common import console, describe_run, parse_options, print_table, read_datasets
-from _icp_check import compare_icp
-from _latest import record
-from _stage_plot import draw
-from _timing import exponent, medians, time_in_turns
+from lib.cases import (
+    Case,
+    SizedPair,
+    choose_evenly,
+    choose_sets,
+    correspond,
+    forget,
+    read_case,
+    spread_indices,
+    thin_pair,
+)
+from lib.checks import compare_checks, compare_hypotheses
+from lib.common import console, describe_run, parse_options, print_table, read_datasets
+from lib.icp_check import compare_icp
+from lib.latest import record
+from lib.stage_plot import draw
+from lib.timing import exponent, medians, time_in_turns
 
-from svc_ros.core import hypotheses as generation
-from svc_ros.core.compatibility import compute_compatibility
 from svc_ros.core.config import with_values
-from svc_ros.core.features import compute_features
-from svc_ros.core.icp import refine_by_icp
-from svc_ros.core.matching import match
-from svc_ros.core.preprocess import estimate_normals, thin_on_voxel_grid
+from svc_ros.core.matches.features import compute_features
+from svc_ros.core.matches.matching import match
 from svc_ros.core.range_image import build_range_image
 from svc_ros.core.registration import verify
 from svc_ros.core.scan import Array, Correspondences
-from svc_ros.core.shortlist import order_by_agreement
-from svc_ros.core.sight_view import gather_evidence, glance
+from svc_ros.core.scans.preprocess import estimate_normals, thin_on_voxel_grid
+from svc_ros.core.search import hypotheses as generation
+from svc_ros.core.search.compatibility import compute_compatibility
+from svc_ros.core.search.icp import refine_by_icp
+from svc_ros.core.search.shortlist import order_by_agreement
+from svc_ros.core.sight.sight_view import gather_evidence, glance
 
 POINTS = (2000, 5000, 10_000, 15_000, 20_000)
 CORRESPONDENCES = (500, 1000, 2000, 3500, 5000)

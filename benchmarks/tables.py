@@ -15,8 +15,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import _registration_pages
-from _markdown import share, table
+from lib import registration_pages
+from lib.markdown import share, table
 
 from svc_ros.core.config import preset, walk
 
@@ -221,7 +221,7 @@ SECTIONS: dict[str, Callable[[Report], str]] = {
     "parts": parts_table, "numbers": numbers_table, "by set": sets_table, "covariance": covariance_table,
     "borders": borders_table, "rooms accepted": rooms_accepted, "traffic refused": traffic_refused,
     "pose counts": pose_counts, "times": times_table, "calibration error": calibration_error,
-    **_registration_pages.SECTIONS,
+    **registration_pages.SECTIONS,
 }  # fmt: skip
 
 

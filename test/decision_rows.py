@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from svc_ros.core.evidence import SeenSurface, SightLines, SightViewEvidence
+from svc_ros.core.sight.evidence import SeenSurface, SightLines, SightViewEvidence
 
 NUM_SEEN = 4000  # points of each scan that the other sensor could see
 
@@ -34,7 +34,7 @@ def row(
     turns: Iterable[SightViewEvidence] = (), **changes: Any,
 ):  # fmt: skip
     """A row whose views all show the same."""
-    from _evidence import VIEWS, Row
+    from lib.evidence import VIEWS, Row
 
     views = dict.fromkeys(VIEWS, shown.numbers())
     others = [{view: [e.numbers() for e in given] for view in VIEWS} for given in (slips, turns)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from svc_ros.core import range_image_kernels
+from svc_ros.core.kernels import range_image as range_image_kernels
 from svc_ros.core.range_image import Tables
 
 

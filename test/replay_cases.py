@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from svc_ros.core import se3
 from svc_ros.core.config import preset, with_values
-from svc_ros.evaluation.replay_job import ReplayJob
 from svc_ros.io.bags import CloudBagWriter
 from svc_ros.io.results import read_jsonl
 from svc_ros.io.trajectories import Trajectory, write_tum
+from svc_ros.replay.job import ReplayJob
 
 CONFIG = with_values(preset("lidar_indoor"), {"loop_closure.min_gap_s": 0.35, "loop_closure.keyframe_distance_m": 0.2})
 START_NS, STEP_NS = 1_700_000_000_123_456_789, 100_000_000

@@ -13,10 +13,10 @@ from svc_ros.core.config import preset, with_values
 from svc_ros.core.registration import prepare, verify
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import PreparedScan
-from svc_ros.evaluation.scenes import Scene, make_scene
 from svc_ros.io.config_yaml import config_to_yaml
 from svc_ros.io.results import result_to_json, write_jsonl
 from svc_ros.io.trajectories import Trajectory, write_tum
+from svc_ros.report.scenes import Scene, make_scene
 
 PRESET = "lidar_outdoor"
 START_NS = 1_700_000_000_000_000_000

@@ -27,9 +27,9 @@ from svc_ros.io.bags import Bag
 from svc_ros.io.stamps import ns_from_stamp, text_from_ns
 from svc_ros.ros.bag_player import CloudPlayer, ros_cloud
 from svc_ros.ros.collector import DecisionCollector, spin_until
-from svc_ros.ros.conversions import cloud_message
 from svc_ros.ros.processes import ChildProcess, local_environment
 from svc_ros.ros.registration_node import RegistrationNode
+from svc_ros.ros.topics.conversions import cloud_message
 
 RELIABLE_INPUTS = [f"qos_overrides./{side}_points.subscription.reliability:=reliable" for side in ("source", "target")]
 SECOND = 1_000_000_000

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from svc_ros.core.errors import UnsupportedCloudError
-from svc_ros.io.scan_files import read_scan
+from svc_ros.io.clouds.files import read_scan
 
 POINTS = np.array([[1.0, 2.0, 3.0], [-4.0, 5.5, 6.25], [7.0, -8.0, 9.0], [0.5, 0.0, 0.0]])
 DROPPED = np.array([[np.nan, 1.0, 1.0], [0.0, 0.0, 0.0], [1.0, np.inf, 2.0]])

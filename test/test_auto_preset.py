@@ -19,7 +19,7 @@ from svc_ros.core.scan import Scan
 from svc_ros.io.bags import Bag
 from svc_ros.io.config_yaml import read_config_file
 from svc_ros.io.datasets import read_dataset
-from svc_ros.pipeline.replay_clouds import BagPart, first_scans
+from svc_ros.replay.clouds import BagPart, first_scans
 from svc_ros.simulation import build_scene, sensor_model
 from svc_ros.simulation.meshes import upright
 from svc_ros.simulation.ray_casting import RayCaster
@@ -247,7 +247,7 @@ def test_calibrate_refuses_data_of_two_kinds(tmp_path) -> None:
 
 
 def test_a_copy_of_a_scan_in_another_place_of_memory_chooses_the_same(scans) -> None:  # noqa: F811
-    from svc_ros.io.scan_files import read_scan
+    from svc_ros.io.clouds.files import read_scan
 
     scan = read_scan(scans[0])
     shuffled = replace(scan, points=scan.points[np.random.default_rng(0).permutation(len(scan))])

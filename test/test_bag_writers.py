@@ -14,7 +14,7 @@ from svc_ros.core.errors import InputError
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.se3 import make_pose
 from svc_ros.io.bags import Bag, CloudBagWriter, ResultWriter
-from svc_ros.io.result_writer import UNFINISHED
+from svc_ros.io.bags.result_writer import UNFINISHED
 
 
 def result(accepted: bool = True, covariance: bool = True) -> RegistrationResult:

@@ -28,7 +28,7 @@ RUN = {
 @pytest.fixture(autouse=True)
 def no_exact_times(scripts, monkeypatch):
     """Calls are not repeated for exact times."""
-    import _timing
+    from lib import timing as _timing
 
     monkeypatch.setattr(_timing, "_SHORT_MS", 2.0)
 
@@ -44,10 +44,10 @@ def data(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def room(data):
     sys.path.insert(0, str(FOLDER))
-    import _cases
+    from lib import cases
 
     sys.path.remove(str(FOLDER))
-    return _cases.read_case(read_dataset(data / "room"))
+    return cases.read_case(read_dataset(data / "room"))
 
 
 def run_main(script, monkeypatch, data: Path, out: Path, *options: str) -> dict:
@@ -81,64 +81,63 @@ def test_stages_measures_every_stage_and_both_twins(monkeypatch, data, tmp_path)
 
 
 def test_twins_answer_the_same_question_and_a_wrong_one_is_noticed(monkeypatch, room):
-    import _checks
+    from lib import checks
 
-    pair = _checks.thin_pair(room, 800)
+    pair = checks.thin_pair(room, 800)
     assert (len(pair.source), len(pair.target)) == (800, 800)
-    honest = _checks.look_by_trees
+    honest = checks.look_by_trees
     for T in (room.T_target_source, room.wrong_pose):
-        jobs = _checks.check_jobs(pair, T)
-        lines, _ = jobs[_checks.TWIN]()
+        jobs = checks.check_jobs(pair, T)
+        lines, _ = jobs[checks.TWIN]()
     assert lines.num_blocked > 10  # at the wrong pose: the comparison is of something
 
     def careless(observer, other, T, config):
         return honest(observer, other, T, dataclasses.replace(config, tolerance_m=1.05 * config.tolerance_m))
 
-    monkeypatch.setattr(_checks, "look_by_trees", careless)
-    with pytest.raises(_checks.DisagreementError):
-        _checks.check_jobs(pair, room.wrong_pose)
+    monkeypatch.setattr(checks, "look_by_trees", careless)
+    with pytest.raises(checks.DisagreementError):
+        checks.check_jobs(pair, room.wrong_pose)
 
 
 @pytest.mark.parametrize("field", ["num_lines", "num_observed", "blocked_idx", "blocker_idx"])
 def test_every_part_of_the_sight_lines_is_compared(room, field):
-    import _checks
+    from lib import checks
 
-    pair = _checks.thin_pair(room, 800)
-    lines, _ = _checks.look_one_way(pair.target, pair.source, room.wrong_pose, pair.config.sight_view)
-    _checks.require_same_lines(lines, lines)
+    pair = checks.thin_pair(room, 800)
+    lines, _ = checks.look_one_way(pair.target, pair.source, room.wrong_pose, pair.config.sight_view)
+    checks.require_same_lines(lines, lines)
     other = dataclasses.replace(lines, **{field: getattr(lines, field) + 1})
-    with pytest.raises(_checks.DisagreementError):
-        _checks.require_same_lines(lines, other)
+    with pytest.raises(checks.DisagreementError):
+        checks.require_same_lines(lines, other)
 
 
 def test_dense_hypotheses_are_the_same_and_wrong_ones_are_noticed(monkeypatch, room):
-    import _cases
-    import _checks
+    from lib import cases, checks
 
-    matches = _cases.correspond(room, 300)
+    matches = cases.correspond(room, 300)
     config = room.config.hypotheses
-    ours = _checks.generate_hypotheses(matches, config)
+    ours = checks.generate_hypotheses(matches, config)
     assert len(ours) > 10
     for ranking in ("ic", "mae", "mse"):
         ranked = dataclasses.replace(config, ranking=ranking)
-        _checks.require_same_hypotheses(
-            _checks.generate_hypotheses(matches, ranked), _checks.dense_hypotheses(matches, ranked)
+        checks.require_same_hypotheses(
+            checks.generate_hypotheses(matches, ranked), checks.dense_hypotheses(matches, ranked)
         )
     moved = ours.T_target_source.copy()
     moved[0, 0, 3] += 1e-3
-    with pytest.raises(_checks.DisagreementError):
-        _checks.require_same_hypotheses(ours, HypothesisSet(moved, ours.num_inliers, ours.score))
+    with pytest.raises(checks.DisagreementError):
+        checks.require_same_hypotheses(ours, HypothesisSet(moved, ours.num_inliers, ours.score))
 
-    honest = _checks.dense_hypotheses
+    honest = checks.dense_hypotheses
     careless = with_values(room.config, {"hypotheses.compatibility_threshold_m": 0.19}).hypotheses
-    monkeypatch.setattr(_checks, "dense_hypotheses", lambda given, _: honest(given, careless))
-    with pytest.raises(_checks.DisagreementError):
-        _checks.compare_hypotheses(matches, config, 1)
+    monkeypatch.setattr(checks, "dense_hypotheses", lambda given, _: honest(given, careless))
+    with pytest.raises(checks.DisagreementError):
+        checks.compare_hypotheses(matches, config, 1)
 
 
 def test_compare_judges_every_method_before_it_is_timed(monkeypatch, data, tmp_path):
     import compare
-    from _contenders import Answer
+    from lib.contenders import Answer
 
     def right(raw):
         return lambda: Answer(True, raw.pair.T_target_source)
@@ -179,7 +178,7 @@ def test_ratios_are_medians_of_the_pairs_own_ratios():
 
 def test_peak_memory_is_that_of_a_process_of_its_own(data):
     import compare
-    from _resident import peak_mb, resident_mb
+    from lib.resident import peak_mb, resident_mb
 
     held = np.ones((40, 1 << 20))  # 320 MB here must not show there
     found = compare.peaks("verify", [read_dataset(data / "room")])["room"]
@@ -190,7 +189,7 @@ def test_peak_memory_is_that_of_a_process_of_its_own(data):
 
 def test_memory_runs_pairs_through_the_worker_of_the_node(data):
     import memory
-    from _common import config_of
+    from lib.common import config_of
 
     dataset = read_dataset(data / "room")
     drive = memory.read_drive(dataset)
@@ -210,7 +209,7 @@ def test_growth_is_the_slope_after_the_warm_up():
 
 
 def test_sections_of_other_scripts_stay(tmp_path):
-    from _latest import record
+    from lib.latest import record
 
     record(tmp_path, "one", RUN, {"a": {"value": 1}, "b": {"value": 2}})
     record(tmp_path, "two", {**RUN, "commit": "def"}, {"b": {"value": 3}})
@@ -221,7 +220,7 @@ def test_sections_of_other_scripts_stay(tmp_path):
 
 
 def test_calls_take_turns_and_the_first_one_changes():
-    import _timing
+    from lib import timing as _timing
 
     called: list[str] = []
     jobs = {name: (lambda name=name: called.append(name)) for name in "abc"}
@@ -235,7 +234,7 @@ def test_calls_take_turns_and_the_first_one_changes():
 
 
 def test_exponent_is_the_slope_of_the_logarithms():
-    import _timing
+    from lib import timing as _timing
 
     assert _timing.exponent([10, 20, 40], [3.0, 12.0, 48.0]) == pytest.approx(2.0)
     with pytest.raises(ValueError, match="two numbers"):

@@ -18,8 +18,8 @@ from test_readme import module_from
 
 from svc_ros.core import decision, se3
 from svc_ros.core.config import preset
-from svc_ros.core.evidence import SightLines, SightViewEvidence
 from svc_ros.core.result import Verdict
+from svc_ros.core.sight.evidence import SightLines, SightViewEvidence
 from svc_ros.io.datasets import read_dataset
 
 FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
@@ -36,14 +36,13 @@ def report(tmp_path_factory) -> tuple[dict, Path]:
     folder = tmp_path_factory.mktemp("decision")
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(FOLDER))
-        import _simulated
-        import _simulated_halls
-        import _simulated_sensors
         import decision as script
+        from lib import simulated as _simulated
+        from lib import simulated_halls, simulated_sensors
 
         (folder / "pairs").mkdir()
         write_dataset(folder / "pairs" / "room")
-        groups = ("room", *_simulated.PRESETS, *_simulated_sensors.PRESETS, *_simulated_halls.PRESETS)
+        groups = ("room", *_simulated.PRESETS, *simulated_sensors.PRESETS, *simulated_halls.PRESETS)
         kept = folder / "rows.pkl"
         kept.write_bytes(pickle.dumps((toy_rows(groups), {"commit": "abc"})))
         options = ["--data", str(folder / "pairs"), "--out", str(folder), "--rows", str(kept)]
@@ -56,7 +55,7 @@ def report(tmp_path_factory) -> tuple[dict, Path]:
 
 
 def test_fitted_weights_tell_separable_poses_apart():
-    from _weights import WEIGHTS, compare_weights
+    from lib.weights import WEIGHTS, compare_weights
 
     found = compare_weights(toy_rows(CONFIGS), CONFIGS)
     assert list(found["leave_one_sensor_out"]) == SENSOR_NAMES
@@ -68,7 +67,7 @@ def test_fitted_weights_tell_separable_poses_apart():
 
 
 def test_planted_log_odds_are_found_again():
-    from _weights import fit_weights
+    from lib.weights import fit_weights
 
     fitted = fit_weights(planted_rows("a", (-1.5, -0.7, 4.0)), CONFIGS)
     assert fitted["denied_weight"] == pytest.approx(1.5, rel=0.15)
@@ -82,7 +81,7 @@ def test_planted_log_odds_are_found_again():
      ((-1.5, -1.0, -3.0), "structure_weight")],
 )  # fmt: skip
 def test_a_number_that_misleads_gets_no_weight_rather_than_a_negative_one(misleading, weight):
-    from _weights import WEIGHTS, fit_weights
+    from lib.weights import WEIGHTS, fit_weights
 
     fitted = fit_weights(planted_rows("a", misleading, 600), CONFIGS)
     assert fitted[weight] == 0.0
@@ -90,7 +89,7 @@ def test_a_number_that_misleads_gets_no_weight_rather_than_a_negative_one(mislea
 
 
 def test_the_offset_is_that_of_even_odds():
-    from _weights import fit_weights
+    from lib.weights import fit_weights
 
     rows = [row("a", correct, evidence(denied)) for correct, denied in ((True, 0.01), (False, 0.2))]
     config = dataclasses.replace(CONFIGS["a"].decision, **fit_weights(rows, CONFIGS))
@@ -100,7 +99,7 @@ def test_the_offset_is_that_of_even_odds():
 
 
 def test_a_left_out_sensor_is_not_used():
-    from _weights import fit_without_each
+    from lib.weights import fit_without_each
 
     rows = toy_rows(CONFIGS)
     spoilt = [dataclasses.replace(r, correct=not r.correct) if r.dataset == SAME else r for r in rows]
@@ -114,9 +113,9 @@ def test_a_left_out_sensor_is_not_used():
 
 
 def test_left_out_poses_are_answered_by_the_weights_of_the_others():
-    from _rules import Variant, answer_variant
-    from _sensors import sensor_of
-    from _weights import WEIGHTS, answer_left_out, fit_without_each
+    from lib.rules import Variant, answer_variant
+    from lib.sensors import sensor_of
+    from lib.weights import WEIGHTS, answer_left_out, fit_without_each
 
     rows = toy_rows(CONFIGS)
     for name in (None, *WEIGHTS):
@@ -135,7 +134,7 @@ def test_left_out_poses_are_answered_by_the_weights_of_the_others():
 
 @pytest.mark.parametrize("name", ["wide_denied_weight", "structure_weight"])
 def test_a_number_that_is_not_weighed_is_not_seen(name):
-    from _weights import fit_weights
+    from lib.weights import fit_weights
 
     rng = np.random.default_rng(5)
 
@@ -154,7 +153,7 @@ def test_a_number_that_is_not_weighed_is_not_seen(name):
 
 
 def test_sensors_and_labels_weigh_the_same_however_many_poses_they_have():
-    from _weights import fit_weights
+    from lib.weights import fit_weights
 
     rows = toy_rows(CONFIGS)
     many = rows + [r for r in rows if r.dataset == "a" and r.correct] * 4
@@ -164,7 +163,7 @@ def test_sensors_and_labels_weigh_the_same_however_many_poses_they_have():
 
 
 def test_poses_out_of_contact_or_moved_away_do_not_count():
-    from _weights import compare_weights, fit_weights
+    from lib.weights import compare_weights, fit_weights
 
     rows = toy_rows(CONFIGS)
     misleading = [
@@ -178,7 +177,7 @@ def test_poses_out_of_contact_or_moved_away_do_not_count():
 
 
 def test_nothing_is_fitted_to_one_label():
-    from _weights import fit_weights, fit_without_each
+    from lib.weights import fit_weights, fit_without_each
 
     with pytest.raises(ValueError, match="3 right of 3"):
         fit_weights([row("a", True, evidence(0.01))] * 3, CONFIGS)
@@ -188,7 +187,7 @@ def test_nothing_is_fitted_to_one_label():
 
 
 def test_poses_that_move_away_rank_last_and_are_no_extremes():
-    from _weights import judge_margins
+    from lib.weights import judge_margins
 
     rows = [row("a", True, evidence(0.01)), row("a", True, evidence(0.001), moved=(0.0, 50.0)),
             row("a", False, evidence(0.3)), row("a", False, evidence(0.0), moved=(90.0, 0.0))]  # fmt: skip
@@ -203,7 +202,7 @@ def test_poses_that_move_away_rank_last_and_are_no_extremes():
 
 
 def test_kept_numbers_make_the_same_evidence_again():
-    from _evidence import evidence_of
+    from lib.evidence import evidence_of
 
     ways = (SightLines(5000, 1500, np.zeros(50), np.zeros(50), 700, 7), SightLines(400, 90, np.zeros(3), np.zeros(3)))
     seen = SightViewEvidence(*ways, 0.6, 0.5, 0.02, 0.11, 0.07, 0.8, surface(0.05, 0.09), surface(0.2, 0.01))
@@ -216,8 +215,8 @@ def test_kept_numbers_make_the_same_evidence_again():
 
 
 def test_slips_are_measured_wherever_a_variant_may_accept():
-    from _evidence import _may_be_accepted, evidence_of
-    from _rules import VARIANTS, Variant
+    from lib.evidence import _may_be_accepted, evidence_of
+    from lib.rules import VARIANTS, Variant
 
     variants = VARIANTS | {"other weights": Variant(borders=OTHER_SENSORS | {"offset": 8.0})}
     rng, config, accepted = np.random.default_rng(3), CONFIGS["a"].decision, dict.fromkeys(variants, 0)
@@ -243,7 +242,7 @@ def test_slips_are_measured_wherever_a_variant_may_accept():
 
 
 def test_slips_come_far_near_near_far_along_every_weak_direction():
-    from _evidence import slipped
+    from lib.evidence import slipped
 
     contact = SimpleNamespace(weak_directions=lambda limit, at_least=1: np.eye(3)[: 2 if limit == 0.13 else 3])
     pair = SimpleNamespace(config=CONFIGS["a"], contact=lambda T: contact)
@@ -253,9 +252,9 @@ def test_slips_come_far_near_near_far_along_every_weak_direction():
 
 
 def test_measured_rows_are_answered_as_verify_answers_them(monkeypatch, tmp_path):
-    import _evidence
-    from _common import config_of
-    from _rules import VARIANTS, answer_variant
+    from lib import evidence as _evidence
+    from lib.common import config_of
+    from lib.rules import VARIANTS, answer_variant
 
     monkeypatch.setattr(_evidence, "_EVERY", 1)
     dataset = read_dataset(write_dataset(tmp_path / "room"))
@@ -273,7 +272,7 @@ def test_measured_rows_are_answered_as_verify_answers_them(monkeypatch, tmp_path
 
 
 def test_traffic_is_labelled_with_the_true_pose():
-    import _simulated
+    from lib import simulated as _simulated
 
     rows = _simulated.gather_simulated((_simulated.Place(_simulated.TRAFFIC, "VLP-16", 1), 1))
     assert [r.correct for r in rows] == [True] * 3
@@ -286,7 +285,7 @@ def test_traffic_is_labelled_with_the_true_pose():
 
 
 def test_half_of_the_parked_cars_are_gone():
-    import _simulated
+    from lib import simulated as _simulated
 
     from svc_ros.simulation import build_scene
     from svc_ros.simulation.world import SceneConfig
@@ -299,7 +298,7 @@ def test_half_of_the_parked_cars_are_gone():
 
 
 def test_rooms_are_wrong_poses_that_registration_found(monkeypatch):
-    import _simulated
+    from lib import simulated as _simulated
 
     monkeypatch.setattr(_simulated, "_BOTH_SIDES", ((5, 6),))
     rows = _simulated.gather_simulated((_simulated.Place(_simulated.ROOMS, "VLP-16", 26), 0))
@@ -310,21 +309,21 @@ def test_rooms_are_wrong_poses_that_registration_found(monkeypatch):
 
 
 def test_halls_are_a_true_pose_and_its_half_turn(monkeypatch):
-    import _evidence
-    import _simulated_halls
-    from _rules import VARIANTS, answer_variant
+    from lib import evidence as _evidence
+    from lib import simulated_halls
+    from lib.rules import VARIANTS, answer_variant
 
-    places = _simulated_halls.places()
+    places = simulated_halls.places()
     assert len(set(places)) == len(places) == 24
     place = places[0]
     monkeypatch.setattr(_evidence, "_EVERY", 1)
-    truth, turned = judged = _simulated_halls.judge(place).candidates
+    truth, turned = judged = simulated_halls.judge(place).candidates
     assert [(c.label, c.origin) for c in judged] == [("correct", "truth"), ("wrong", "half turn")]
     apart = se3.invert(truth.T_target_source) @ turned.T_target_source
     assert se3.pose_error(apart, np.eye(4))[0] == pytest.approx(180.0, abs=1e-3)
     assert abs(apart[2, 3]) < 1e-9  # about the vertical
-    rows = _simulated_halls.gather_simulated((place, 0))
-    assert [(r.dataset, r.correct) for r in rows] == [(_simulated_halls.HALLS, True), (_simulated_halls.HALLS, False)]
+    rows = simulated_halls.gather_simulated((place, 0))
+    assert [(r.dataset, r.correct) for r in rows] == [(simulated_halls.HALLS, True), (simulated_halls.HALLS, False)]
     assert all(r.seen["refined"]["oriented_overlap_ratio"] > 0.3 for r in rows)  # the walls agree either way
     answers = {k: answer_variant(r, place.config, VARIANTS["svc"]) for k, r in enumerate(rows)}
     assert _evidence.check_against_verify(rows, answers) == (2, 0)
@@ -332,7 +331,7 @@ def test_halls_are_a_true_pose_and_its_half_turn(monkeypatch):
 
 
 def test_no_weight_is_fitted_to_halls():
-    from _weights import compare_weights, fit_weights
+    from lib.weights import compare_weights, fit_weights
 
     rows, configs = toy_rows(CONFIGS), CONFIGS | {"simulated halls": preset("lidar_indoor")}
     halls = [row("simulated halls", correct, evidence(0.6 if correct else 0.001, 0.2)) for correct in (True, False)]
@@ -346,10 +345,9 @@ def test_no_weight_is_fitted_to_halls():
 
 
 def test_recorded_and_all_simulated_poses_are_measured_once(monkeypatch, tmp_path):
-    import _simulated
-    import _simulated_halls
-    import _simulated_sensors
     import decision as script
+    from lib import simulated as _simulated
+    from lib import simulated_halls, simulated_sensors
 
     asked = []
 
@@ -363,7 +361,7 @@ def test_recorded_and_all_simulated_poses_are_measured_once(monkeypatch, tmp_pat
     rows, run = script.collect([dataset], options, simulate=True)
     (_, recorded), *simulated = asked
     assert [job[1:] for job in recorded] == [(dataset.candidates[0], 0)]
-    for (gather, jobs), group in zip(simulated, (_simulated, _simulated_sensors, _simulated_halls), strict=True):
+    for (gather, jobs), group in zip(simulated, (_simulated, simulated_sensors, simulated_halls), strict=True):
         assert gather is group.gather_simulated
         assert [place for place, _ in jobs] == group.places()
     assert len(rows) == 8

@@ -33,7 +33,7 @@ def answer(overlap: float | None, accepted: bool, correct: bool, score: float | 
 
 
 def test_every_pair_is_in_one_bin_and_negatives_in_their_own():
-    from _tally import BINS, NEGATIVES, by_overlap
+    from lib.tally import BINS, NEGATIVES, by_overlap
 
     rows = [answer(overlap, True, True) for overlap in (0.0, 0.1, 0.29, 0.3, 0.5, 0.7, 1.0)]
     bins = by_overlap([*rows, answer(None, True, False)])
@@ -42,7 +42,7 @@ def test_every_pair_is_in_one_bin_and_negatives_in_their_own():
 
 
 def test_negatives_count_as_false_accepts_and_not_as_pairs():
-    from _tally import summarise
+    from lib.tally import summarise
 
     rows = [answer(0.5, True, True), answer(0.5, False, True), answer(0.2, True, False), answer(None, True, False)]
     found = summarise([*rows, answer(None, False, False, total_ms=1000.0)])
@@ -52,7 +52,7 @@ def test_negatives_count_as_false_accepts_and_not_as_pairs():
 
 
 def test_what_the_best_threshold_would_keep():
-    from _tally import right_above_wrong
+    from lib.tally import right_above_wrong
 
     rows = [answer(0.5, True, True, 9), answer(0.5, False, True, 4), answer(0.5, True, True, 3)]
     assert right_above_wrong(rows) == 3
@@ -62,7 +62,7 @@ def test_what_the_best_threshold_would_keep():
 
 
 def test_files_of_an_earlier_version_can_be_read():
-    from _tally import read_rows, summarise
+    from lib.tally import read_rows, summarise
 
     old = {"dataset": "a", "overlap": None, "method": "svc", "accepted": True, "correct": False, "time_ms": 3.0}
     (row,) = read_rows({"pairs": [old]})
@@ -71,7 +71,7 @@ def test_files_of_an_earlier_version_can_be_read():
 
 
 def test_kinds_of_sensors_are_told_from_what_a_set_says():
-    from _sensors import kind_of
+    from lib.sensors import kind_of
 
     assert kind_of("Velodyne HDL-64E, city drive", "x") == "HDL-64E"
     assert kind_of("64-beam Ouster type, car", "x") == "OS1-64"
@@ -80,7 +80,7 @@ def test_kinds_of_sensors_are_told_from_what_a_set_says():
 
 
 def test_every_recorded_set_is_of_the_kind_that_it_is_left_out_with(shared_data):
-    from _sensors import SENSORS, kind_of
+    from lib.sensors import SENSORS, kind_of
 
     sets = [read_dataset(path.parent) for path in sorted((shared_data / "pairs").glob("*/dataset.json"))]
     assert {s.name: kind_of(s.sensor, "unknown") for s in sets if s.name in SENSORS} == SENSORS
@@ -91,7 +91,7 @@ def test_every_recorded_set_is_of_the_kind_that_it_is_left_out_with(shared_data)
 
 
 def test_all_pairs_and_negatives_are_chosen_without_a_limit(data):
-    from _pairs import choose
+    from lib.pairs import choose
 
     dataset = read_dataset(data / "room")
     everything = choose(dataset, None)
@@ -101,8 +101,8 @@ def test_all_pairs_and_negatives_are_chosen_without_a_limit(data):
 
 @pytest.mark.parametrize("method", ["svc", "KISS-Matcher", "Open3D RANSAC", "Open3D FGR"])
 def test_every_package_answers_and_says_by_what(data, method):
-    from _attempts import ACCEPTS, PREPARED, method_of, why_not
-    from _common import config_of
+    from lib.attempts import ACCEPTS, PREPARED, method_of, why_not
+    from lib.common import config_of
 
     if (reason := why_not(method)) is not None:
         pytest.skip(reason)
@@ -128,8 +128,8 @@ def test_every_package_answers_and_says_by_what(data, method):
 
 def test_open3d_describes_a_pair_once_for_both_methods(data):
     pytest.importorskip("open3d")
-    from _common import config_of
-    from _peers import describe_by_open3d, run_open3d_fgr
+    from lib.common import config_of
+    from lib.peers import describe_by_open3d, run_open3d_fgr
 
     dataset = read_dataset(data / "room")
     scans = [dataset.read_scan(path) for path in (dataset.pairs[0].source, dataset.pairs[0].target)]
@@ -139,10 +139,9 @@ def test_open3d_describes_a_pair_once_for_both_methods(data):
 
 
 def test_the_report_has_what_the_pages_need(monkeypatch, data, tmp_path):
-    import _attempts
-    import _registration_pages
     import registration
-    from _peers import Attempt
+    from lib import attempts, registration_pages
+    from lib.peers import Attempt
 
     asked = []
 
@@ -150,7 +149,7 @@ def test_the_report_has_what_the_pages_need(monkeypatch, data, tmp_path):
         asked.append(source)
         return Attempt(True, np.eye(4), 5.0, 0.1)
 
-    monkeypatch.setitem(_attempts.PEERS, "KISS-Matcher", careless)
+    monkeypatch.setitem(attempts.PEERS, "KISS-Matcher", careless)
     monkeypatch.setattr(registration, "why_not", lambda name: None)
     monkeypatch.setattr(registration, "_asked", set())
     options = ["--data", str(data), "--out", str(tmp_path), "--workers", "1", "--methods", "svc", "KISS-Matcher"]
@@ -167,6 +166,6 @@ def test_the_report_has_what_the_pages_need(monkeypatch, data, tmp_path):
     assert found["by_sensor"].keys() == {found["pairs"][0]["sensor"], "all sets"}
     assert found["methods"]["svc"]["accepts"]
     assert (tmp_path / "registration.png").stat().st_size > 0
-    for section in _registration_pages.SECTIONS.values():
+    for section in registration_pages.SECTIONS.values():
         assert section({"registration": found})
-    assert _registration_pages.overlap_table({"registration": found}).count(" wrong**") >= 1
+    assert registration_pages.overlap_table({"registration": found}).count(" wrong**") >= 1

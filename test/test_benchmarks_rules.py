@@ -21,7 +21,7 @@ MOVED = {"moved": (0.0, 50.0)}
 
 def answer(variant: str, seen, slips=(), turns=(), **changes) -> bool:
     """Whether a variant accepts the pose, whose probability tells the same."""
-    from _rules import VARIANTS, answer_variant
+    from lib.rules import VARIANTS, answer_variant
 
     accepted, probability = answer_variant(row("a", True, seen, slips, turns, **changes), CONFIG, VARIANTS[variant])
     assert accepted == (probability >= 0.5)
@@ -43,7 +43,7 @@ def answer(variant: str, seen, slips=(), turns=(), **changes) -> bool:
     ],
 )  # fmt: skip
 def test_what_is_taken_away_is_what_refused_the_pose(variant, seen):
-    from _rules import VARIANTS
+    from lib.rules import VARIANTS
 
     accepting = {name for name in VARIANTS if answer(name, seen)}
     assert accepting == {variant}
@@ -51,7 +51,7 @@ def test_what_is_taken_away_is_what_refused_the_pose(variant, seen):
 
 
 def test_a_pose_that_moves_away_is_refused_unless_it_is_not_refined():
-    from _rules import MOVED_AWAY, VARIANTS, answer_denied_share, answer_variant
+    from lib.rules import MOVED_AWAY, VARIANTS, answer_denied_share, answer_variant
 
     accepting = {name for name in VARIANTS if answer(name, GOOD, **MOVED)}
     assert accepting == {"svc, not refined"}
@@ -64,7 +64,7 @@ def test_a_pose_that_moves_away_is_refused_unless_it_is_not_refined():
 
 
 def test_the_view_is_that_of_the_variant():
-    from _rules import VARIANTS, answer_variant
+    from lib.rules import VARIANTS, answer_variant
 
     apart = row("a", True, GOOD, seen={"refined": BAD.numbers(), "given": GOOD.numbers()})
     answers = {name: answer_variant(apart, CONFIG, variant)[0] for name, variant in VARIANTS.items()}
@@ -93,7 +93,7 @@ def test_half_turns_raise_doubts_where_they_are_about_as_likely():
 
 
 def test_the_denied_share_alone():
-    from _rules import answer_denied_share
+    from lib.rules import answer_denied_share
 
     def judge(seen) -> tuple[bool, float]:
         return answer_denied_share(row("a", True, seen), CONFIG)
@@ -109,7 +109,7 @@ def test_the_denied_share_alone():
 
 
 def test_paper_and_overlap_look_at_the_pose_as_given():
-    from _rules import answer_overlap, answer_paper
+    from lib.rules import answer_overlap, answer_paper
 
     r = row("a", True, evidence(0.01, overlap=0.29), paper_blocked=0.3, paper_passed=True)
     r = dataclasses.replace(r, seen={**r.seen, "refined": evidence(0.01, overlap=0.9).numbers()})
@@ -122,7 +122,7 @@ def test_paper_and_overlap_look_at_the_pose_as_given():
 
 
 def test_a_logistic_fit_finds_planted_weights():
-    from _rules import fit_logistic
+    from lib.rules import fit_logistic
 
     rng = np.random.default_rng(0)
     features = rng.normal(size=(8000, 3)) * (1.0, 10.0, 0.1)
@@ -138,7 +138,7 @@ def test_a_logistic_fit_finds_planted_weights():
 
 
 def test_both_classes_weigh_the_same_and_counts_are_as_copies():
-    from _rules import fit_logistic
+    from lib.rules import fit_logistic
 
     rng = np.random.default_rng(1)
     features = np.concatenate((rng.normal(1.0, 1.0, (50, 1)), rng.normal(-1.0, 1.0, (500, 1))))
@@ -151,7 +151,7 @@ def test_both_classes_weigh_the_same_and_counts_are_as_copies():
 
 
 def test_logistic_answers_never_saw_the_sensor():
-    from _rules import MOVED_AWAY, answer_logistic, features_with_sight_lines, features_without_sight_lines
+    from lib.rules import MOVED_AWAY, answer_logistic, features_with_sight_lines, features_without_sight_lines
 
     def numbers(r):
         return [np.log(r.seen["refined"]["denied_ratio"] + 1e-3)]
@@ -174,7 +174,7 @@ def test_logistic_answers_never_saw_the_sensor():
 
 
 def test_sets_of_one_sensor_are_left_out_together():
-    from _sensors import sensor_of, sensors_of, weigh_groups
+    from lib.sensors import sensor_of, sensors_of, weigh_groups
 
     assert sensor_of(ONE) == sensor_of(SAME) == "OS1-64"
     assert sensor_of("simulated smear") == "simulated smear"
@@ -186,7 +186,7 @@ def test_sets_of_one_sensor_are_left_out_together():
 
 def test_the_sensor_of_every_recorded_set_is_known(shared_data):
     """One that is not named would be left out alone, and the fit tested on a sensor that it has seen."""
-    from _sensors import SENSORS
+    from lib.sensors import SENSORS
 
     sets = [read_dataset(path.parent) for path in sorted((shared_data / "pairs").glob("*/dataset.json"))]
     assert {dataset.name for dataset in sets if dataset.candidates} == set(SENSORS)
@@ -207,7 +207,7 @@ def calibrated(names, num: int = 4000, power: float = 1.0) -> tuple[list, list]:
 
 
 def test_the_bins_add_up_by_group():
-    from _calibration import ALL, RECORDED, measure
+    from lib.calibration import ALL, RECORDED, measure
 
     names = (ONE, SAME, "simulated smear")
     rows, answers = calibrated(names, 300)
@@ -222,7 +222,7 @@ def test_the_bins_add_up_by_group():
 
 
 def test_true_probabilities_have_no_calibration_error_and_others_do():
-    from _calibration import ALL, measure
+    from lib.calibration import ALL, measure
 
     def error(rows, answers, name=ALL) -> float:
         return measure(rows, answers)["expected_calibration_error"][name]
@@ -236,7 +236,7 @@ def test_true_probabilities_have_no_calibration_error_and_others_do():
 
 
 def test_calibration_is_shown_and_drawn(capsys, tmp_path):
-    import _calibration
+    from lib import calibration as _calibration
 
     found = _calibration.measure(*calibrated(["a"], 50))
     _calibration.show(found)

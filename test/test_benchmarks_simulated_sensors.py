@@ -18,17 +18,17 @@ GROUPS = (
 
 
 def first_place(group: str):
-    import _simulated_sensors
+    from lib import simulated_sensors
 
-    return next(place for place in _simulated_sensors.places() if place.dataset == group)
+    return next(place for place in simulated_sensors.places() if place.dataset == group)
 
 
 def test_every_group_has_its_places_and_a_preset():
-    import _simulated_sensors
+    from lib import simulated_sensors
 
-    places = _simulated_sensors.places()
-    assert tuple(_simulated_sensors.PRESETS) == GROUPS
-    assert set(_simulated_sensors.PRESETS.values()) <= set(PRESETS)
+    places = simulated_sensors.places()
+    assert tuple(simulated_sensors.PRESETS) == GROUPS
+    assert set(simulated_sensors.PRESETS.values()) <= set(PRESETS)
     assert len(set(places)) == len(places)
     assert pickle.loads(pickle.dumps(places)) == places
     for group in GROUPS:
@@ -38,11 +38,11 @@ def test_every_group_has_its_places_and_a_preset():
 
 @pytest.mark.parametrize("group", GROUPS)
 def test_pairs_overlap_and_are_labelled_by_the_true_pose(group: str):
-    import _simulated_sensors
-    from _simulated_pairs import GROUPS as MADE
+    from lib import simulated_sensors
+    from lib.simulated_pairs import GROUPS as MADE
 
     place = first_place(group)
-    pair, (same, *other) = _simulated_sensors.overlapping_pair(place), _simulated_sensors.judge(place)
+    pair, (same, *other) = simulated_sensors.overlapping_pair(place), simulated_sensors.judge(place)
     assert pair.overlap > 0.3
     assert same.dataset == group
     truth, *wrong = same.candidates
@@ -63,7 +63,7 @@ def test_pairs_overlap_and_are_labelled_by_the_true_pose(group: str):
 
 
 def test_places_follow_from_their_seed_and_differ_by_sensor():
-    import _simulated_pairs as pairs
+    from lib import simulated_pairs as pairs
 
     place = first_place(pairs.NARROW)
     first, again = (pairs.overlapping_pair(place) for _ in range(2))
@@ -73,7 +73,7 @@ def test_places_follow_from_their_seed_and_differ_by_sensor():
 
 
 def test_cars_keep_within_what_bends_allow_and_nothing_stands_on_the_track():
-    import _simulated_pairs as pairs
+    from lib import simulated_pairs as pairs
 
     smeared = [place for place in pairs.places() if place.dataset == pairs.SMEAR]
     for place in smeared:
@@ -91,9 +91,9 @@ def test_cars_keep_within_what_bends_allow_and_nothing_stands_on_the_track():
 
 
 def test_rows_are_measured_as_of_other_sets():
-    import _simulated_sensors
+    from lib import simulated_sensors
 
-    rows = _simulated_sensors.gather_simulated((first_place("simulated smear"), 0))
+    rows = simulated_sensors.gather_simulated((first_place("simulated smear"), 0))
     assert {row.dataset for row in rows} == {"simulated smear"}
     assert [row.correct for row in rows[:9]] == [True] + [False] * 8
     assert rows[0].contact is not None

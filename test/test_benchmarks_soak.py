@@ -37,14 +37,14 @@ def changed(status, group, name, value):
 
 
 def snapshot(status, decided=DECIDED, published=20):
-    from _soak_checks import Snapshot
+    from lib.soak_checks import Snapshot
 
     return Snapshot(status, decided, published)
 
 
 @pytest.mark.parametrize("status", [PAIR, SCANS])
 def test_counts_that_add_up_are_right(status):
-    from _soak_checks import wrong_counts
+    from lib.soak_checks import wrong_counts
 
     assert wrong_counts(snapshot(status), 1) == []
 
@@ -63,19 +63,19 @@ def test_counts_that_add_up_are_right(status):
     ],
 )
 def test_counts_that_do_not_add_up_are_named(status, text):
-    from _soak_checks import wrong_counts
+    from lib.soak_checks import wrong_counts
 
     assert any(text in line for line in wrong_counts(snapshot(status), 1))
 
 
 def test_more_received_than_published_is_named():
-    from _soak_checks import wrong_counts
+    from lib.soak_checks import wrong_counts
 
     assert wrong_counts(snapshot(SCANS, published=5), 1) == ["received 6 clouds of 5 published"]
 
 
 def good_record():
-    from _soak_checks import Record
+    from lib.soak_checks import Record
 
     done = changed(changed(SCANS, "jobs", "pending", 0), "decisions", "dropped", 3)
     record = Record("scan_matching", 1, [snapshot(SCANS), snapshot(done)], Counter(DECIDED) + Counter(dropped=1))
@@ -84,7 +84,7 @@ def good_record():
 
 
 def test_a_good_run_passes_every_check():
-    from _soak_checks import checks
+    from lib.soak_checks import checks
 
     assert all(checks(good_record()).values())
 
@@ -102,7 +102,7 @@ def test_a_good_run_passes_every_check():
     ],
 )
 def test_each_check_can_fail(name, value, failed):
-    from _soak_checks import checks
+    from lib.soak_checks import checks
 
     record = good_record()
     setattr(record, name, record.snapshots[:1] if name == "snapshots" else value)
@@ -110,7 +110,7 @@ def test_each_check_can_fail(name, value, failed):
 
 
 def test_decisions_that_are_not_sent_are_work_left_undone():
-    from _soak_checks import checks
+    from lib.soak_checks import checks
 
     record = good_record()
     record.snapshots.append(snapshot(changed(record.snapshots[-1].status, "output", "waiting", 1)))
@@ -118,7 +118,7 @@ def test_decisions_that_are_not_sent_are_work_left_undone():
 
 
 def test_growth_is_from_the_middle_third_to_the_last():
-    from _soak_checks import growth_mb
+    from lib.soak_checks import growth_mb
 
     assert growth_mb([10.0, 90.0, 100.0, 105.0, 110.0, 108.0]) == pytest.approx(5.0)
     assert math.isnan(growth_mb([1.0] * 5))

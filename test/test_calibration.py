@@ -14,8 +14,8 @@ from scipy.stats import binom, binomtest
 
 from svc_ros.core.config import preset
 from svc_ros.core.errors import InputError
-from svc_ros.evaluation import calibration_run
-from svc_ros.evaluation.calibration import (
+from svc_ros.evaluation.calibration import run as calibration_run
+from svc_ros.evaluation.calibration.claims import (
     JudgedPose,
     binomial_upper_bound,
     choose_claim,
@@ -27,10 +27,10 @@ from svc_ros.evaluation.calibration import (
     reliability_bins,
     surest_claim,
 )
-from svc_ros.evaluation.calibration_page import border_rows, count_rows, write_calibration_page
-from svc_ros.evaluation.calibration_run import CalibrationOptions, calibrated_yaml
-from svc_ros.evaluation.calibration_summary import Goal, JudgedSet, percent, statement, summarise_calibration
-from svc_ros.evaluation.calibration_trials import Judged
+from svc_ros.evaluation.calibration.page import border_rows, count_rows, write_calibration_page
+from svc_ros.evaluation.calibration.run import CalibrationOptions, calibrated_yaml
+from svc_ros.evaluation.calibration.summary import Goal, JudgedSet, percent, statement, summarise_calibration
+from svc_ros.evaluation.calibration.trials import Judged
 from svc_ros.io.config_yaml import read_config_file
 from svc_ros.io.datasets import Dataset, Pair, SuccessThresholds
 

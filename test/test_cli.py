@@ -16,7 +16,7 @@ import pytest
 from typer.testing import CliRunner
 
 import svc_ros
-from svc_ros.cli.finding import Finding
+from svc_ros.cli.doctor.finding import Finding
 from svc_ros.cli.main import app
 from svc_ros.core.config import PRESETS
 from svc_ros.core.se3 import make_pose, pose_error
@@ -528,7 +528,7 @@ def test_doctor_fails_for_a_bag_that_cannot_be_used(tmp_path):
 
 def test_doctor_fails_where_something_needed_is_missing(monkeypatch):
     findings = [Finding("numba", "error", "not installed", "pip install numba"), Finding("scipy", "ok", "1.18")]
-    monkeypatch.setattr("svc_ros.cli.doctor.check_installation", lambda: findings)
+    monkeypatch.setattr("svc_ros.cli.doctor.installation.check_installation", lambda: findings)
     result = run("doctor")
     assert result.exit_code == 2
     assert "pip install numba" in result.stdout

@@ -14,8 +14,8 @@ from test_cli import assert_refused, run
 
 from svc_ros.core.config import preset, with_values
 from svc_ros.evaluation.bag_pairs import SPACINGS, BagSource, choose_pairs, dataset_of_bag
-from svc_ros.evaluation.calibration_run import CalibrationOptions, calibrate
-from svc_ros.evaluation.calibration_summary import Goal
+from svc_ros.evaluation.calibration.run import CalibrationOptions, calibrate
+from svc_ros.evaluation.calibration.summary import Goal
 from svc_ros.io.config_yaml import read_config
 from svc_ros.io.datasets import read_dataset
 from svc_ros.io.trajectories import read_tum, write_tum

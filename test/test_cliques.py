@@ -32,17 +32,17 @@ def corner_weights(weights: np.ndarray, edge: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("num", [63, 64, 120])
 def test_triangles_are_the_heaviest_on_the_heaviest_edge_of_each_corner(num):
-    import _cliques
+    from lib import cliques
 
     case = random_case(num)
     expected = slow_weights(case, 0.3)
-    weights = _cliques.weigh_edges(case, 0.3)
+    weights = cliques.weigh_edges(case, 0.3)
     np.testing.assert_array_equal(weights, expected)
-    edges = _cliques.heaviest_edges(weights)
+    edges = cliques.heaviest_edges(weights)
     assert {i for i in range(num) if expected[i].any()} == set(edges.ravel().tolist())
     assert all(expected[a, b] in (expected[a].max(), expected[b].max()) for a, b in edges)
     for edge in edges:
-        triangles = _cliques.extend(edge[None], weights)
+        triangles = cliques.extend(edge[None], weights)
         worth = corner_weights(expected, edge)
         found = [worth[np.setdiff1d(triangle, edge)[0]] for triangle in triangles]
         best = np.sort(worth)[-2:]
@@ -50,15 +50,15 @@ def test_triangles_are_the_heaviest_on_the_heaviest_edge_of_each_corner(num):
 
 
 def test_the_right_pose_comes_first_and_the_same_every_time():
-    import _cliques
+    from lib import cliques
 
-    first, second = (_cliques.generate_clique_hypotheses(random_case(200), CONFIG) for _ in range(2))
+    first, second = (cliques.generate_clique_hypotheses(random_case(200), CONFIG) for _ in range(2))
     assert_same_pose(first.T_target_source[0], T_TRUE, 1.0, 0.2)
     assert_same_bits(first.T_target_source, second.T_target_source)
 
 
 def test_nothing_compatible_is_no_hypothesis():
-    import _cliques
+    from lib import cliques
 
     x = random_case(64).source_points
-    assert len(_cliques.generate_clique_hypotheses(Correspondences.from_points(x, x * 3.0), CONFIG)) == 0
+    assert len(cliques.generate_clique_hypotheses(Correspondences.from_points(x, x * 3.0), CONFIG)) == 0

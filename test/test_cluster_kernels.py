@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import reference_images as reference
 
-from svc_ros.core.cluster_kernels import label, sum_by_extent
+from svc_ros.core.kernels.cluster import label, sum_by_extent
 
 
 def labels_of(points: np.ndarray, edge: float) -> np.ndarray:

@@ -7,10 +7,10 @@ import pytest
 import reference
 from correspondence_cases import T_TRUE, degenerate_cases, random_case, read_kitti_case
 
-from svc_ros.core import kernels
-from svc_ros.core.compatibility import Compatibility, compute_compatibility, leading_eigenvector
+from svc_ros.core.kernels import compatibility as kernels
 from svc_ros.core.scan import Correspondences
 from svc_ros.core.se3 import apply
+from svc_ros.core.search.compatibility import Compatibility, compute_compatibility, leading_eigenvector
 
 CASES = {f"random_{n}": random_case(n) for n in (1, 2, 3, 63, 64, 65, 200)} | degenerate_cases()
 THRESHOLDS = (0.1, 0.6)

@@ -11,8 +11,8 @@ import pytest
 
 from svc_ros.core import decision
 from svc_ros.core.config import PRESETS, DecisionConfig, preset
-from svc_ros.core.evidence import SeenSurface, SightLines, SightViewEvidence
 from svc_ros.core.result import Reason, Verdict
+from svc_ros.core.sight.evidence import SeenSurface, SightLines, SightViewEvidence
 
 CONFIG = DecisionConfig(
     offset=0.0, denied_weight=1.0, wide_denied_weight=1.0, structure_weight=2.0, min_probability=0.5,

@@ -16,13 +16,13 @@ from correspondence_cases import KITTI_PAIRS, read_kitti_case
 from descriptor_packages import EXAMPLE, install_example, write_package
 from scan_cases import real_pair
 
-from svc_ros.core import descriptors as stage
 from svc_ros.core import se3
 from svc_ros.core.config import preset, with_values
-from svc_ros.core.descriptors import more_matches
+from svc_ros.core.matches import descriptors as stage
+from svc_ros.core.matches.descriptors import more_matches
 from svc_ros.core.registration import prepare, register
 from svc_ros.core.scan import Features, Scan
-from svc_ros.io.scan_files import read_scan
+from svc_ros.io.clouds.files import read_scan
 
 PROJECT_ROOT = EXAMPLE.parent.parent
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import reference
 
-from svc_ros.core import descriptor_tree, parallel
-from svc_ros.core.descriptor_kernels import LANES
-from svc_ros.core.descriptor_tree import DescriptorTree
+from svc_ros.core import parallel
+from svc_ros.core.kernels.descriptor import LANES
+from svc_ros.core.matches import descriptor_tree
+from svc_ros.core.matches.descriptor_tree import DescriptorTree
 
 RNG = np.random.default_rng(11)
 

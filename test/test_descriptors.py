@@ -18,12 +18,13 @@ from descriptor_packages import write_package
 from mini_data import POSES, scan_room
 from scan_cases import T_ROOM, prepared, random_scan, room_config, room_scans
 
-from svc_ros.core import descriptors as stage
-from svc_ros.core import features, se3
+from svc_ros.core import se3
 from svc_ros.core.config import PRESETS, Config, preset, with_values
-from svc_ros.core.descriptor_names import BUILT_IN, check_names, split_names
-from svc_ros.core.descriptors import load_descriptors, more_matches
 from svc_ros.core.errors import ConfigError, DescriptorError, InputError, MissingDependencyError
+from svc_ros.core.matches import descriptors as stage
+from svc_ros.core.matches import features
+from svc_ros.core.matches.descriptor_names import BUILT_IN, check_names, split_names
+from svc_ros.core.matches.descriptors import load_descriptors, more_matches
 from svc_ros.core.registration import prepare, register
 from svc_ros.core.result import Reason
 from svc_ros.core.scan import Correspondences, Description, Features, PreparedScan, Scan

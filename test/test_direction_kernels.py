@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from svc_ros.core.direction_kernels import fill_bounds, fill_direction_cells
+from svc_ros.core.kernels.direction import fill_bounds, fill_direction_cells
 
 ROWS, COLUMNS = 573, 180
 

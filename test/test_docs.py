@@ -16,9 +16,9 @@ from test_readme import rows as readme_rows
 
 from svc_ros.core import errors
 from svc_ros.core.config import METHODS, PRESETS, Config, preset, walk
-from svc_ros.core.evidence import SightLines, SightViewEvidence
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Description, PreparedScan
+from svc_ros.core.sight.evidence import SightLines, SightViewEvidence
 
 DOCS = PROJECT_ROOT / "docs"
 PAGES = ("interfaces", "frames", "decisions", "tuning", "integration", "how_it_decides", "calibrate", "descriptors")
@@ -194,10 +194,10 @@ def test_origins_are_those_of_the_streams():
 
 def test_keys_of_decisions_status_and_diagnostics_are_those_of_the_node():
     pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
-    from svc_ros.ros.decision import Decision
     from svc_ros.ros.diagnostics import Statistics, statuses
-    from svc_ros.ros.outputs import _values
-    from svc_ros.ros.worker import CloudLabel
+    from svc_ros.ros.streams.decision import Decision
+    from svc_ros.ros.streams.worker import CloudLabel
+    from svc_ros.ros.topics.outputs import _values
 
     result = RegistrationResult(Verdict.REJECTED, Reason.NO_HYPOTHESIS)
     label = CloudLabel(1, "lidar")

@@ -16,8 +16,8 @@ import pytest
 from bag_recorder import CLOUD, START, Recorder, S, record
 from cloud_messages import Cloud, Column, Layout, pack, xyz_cloud, xyz_columns
 
-from svc_ros.cli import doctor
-from svc_ros.cli.doctor import Finding, check_bag, check_installation
+from svc_ros.cli.doctor import installation as doctor
+from svc_ros.cli.doctor.installation import Finding, check_bag, check_installation
 from svc_ros.core.errors import InputError
 from svc_ros.io.config_yaml import write_preset_files
 from svc_ros.simulation import DriveConfig, simulate_drive

@@ -12,9 +12,9 @@ from mini_data import POSES, scan_room
 
 from svc_ros.core import parallel
 from svc_ros.core.config import Config, preset, with_values
-from svc_ros.core.features import compute_features
-from svc_ros.core.preprocess import preprocess
+from svc_ros.core.matches.features import compute_features
 from svc_ros.core.scan import PreparedScan, Scan
+from svc_ros.core.scans.preprocess import preprocess
 from svc_ros.core.se3 import apply, make_pose, rotate
 
 CONFIG = with_values(preset("lidar_indoor"), {"preprocess.voxel_size_m": 0.2})

@@ -15,12 +15,12 @@ from simulated_scans import moved
 from svc_ros.core import decision, se3
 from svc_ros.core.config import DecisionConfig, SightViewConfig, preset
 from svc_ros.core.errors import InputError
-from svc_ros.core.evidence import SeenSurface, SightLines, SightViewEvidence
-from svc_ros.core.preprocess import preprocess, thin_free_directions
 from svc_ros.core.registration import register
 from svc_ros.core.result import Reason, Verdict
 from svc_ros.core.scan import PreparedScan, Scan
-from svc_ros.core.sight_view import gather_evidence
+from svc_ros.core.scans.preprocess import preprocess, thin_free_directions
+from svc_ros.core.sight.evidence import SeenSurface, SightLines, SightViewEvidence
+from svc_ros.core.sight.sight_view import gather_evidence
 from svc_ros.simulation.meshes import box, upright
 from svc_ros.simulation.ray_casting import RayCaster
 from svc_ros.simulation.scenes import build_scene

@@ -18,7 +18,7 @@ from cloud_fuzz import MUTATIONS, TIME_NAMES, broken_cloud, right_cloud
 from cloud_messages import CODES, Cloud, Field, xyz_cloud
 
 from svc_ros.core.errors import InputError, UnsupportedCloudError
-from svc_ros.io.point_cloud2 import CloudReading, scan_from_cloud
+from svc_ros.io.clouds.point_cloud2 import CloudReading, scan_from_cloud
 
 NUM_BATCHES, BATCH = 10, 1000
 MARGIN, FILLS = 4096, (0x3D, 0xC7)  # around the data: small floats, and large negative ones

@@ -11,11 +11,11 @@ from assertions import assert_same_bits, assert_same_pose
 from correspondence_cases import T_TRUE, degenerate_cases, random_case, read_kitti_case
 from scipy.spatial.transform import Rotation
 
-from svc_ros.core import hypotheses as stage
 from svc_ros.core import se3
-from svc_ros.core.compatibility import compute_compatibility, leading_eigenvector
 from svc_ros.core.config import HypothesisConfig
 from svc_ros.core.scan import Correspondences
+from svc_ros.core.search import hypotheses as stage
+from svc_ros.core.search.compatibility import compute_compatibility, leading_eigenvector
 
 CASES = {f"random_{n}": random_case(n) for n in (3, 63, 64, 65, 200)} | degenerate_cases()
 CONFIG = HypothesisConfig()

@@ -9,9 +9,11 @@ from assertions import assert_same_bits, assert_same_pose
 from scan_cases import T_ROOM, random_scan, real_pair, room_config, room_scans
 from scipy.spatial.transform import Rotation
 
-from svc_ros.core import icp, icp_kernels, se3
-from svc_ros.core.neighbours import NearestGrid
+from svc_ros.core import se3
+from svc_ros.core.kernels import icp as icp_kernels
 from svc_ros.core.registration import prepare
+from svc_ros.core.scans.neighbours import NearestGrid
+from svc_ros.core.search import icp
 
 
 def pose(yaw_deg: float = 0.0, x: float = 0.0, y: float = 0.0) -> np.ndarray:

@@ -8,8 +8,8 @@ from cloud_messages import Layout as CloudForm
 from cloud_messages import pack, xyz_columns
 from scipy.spatial.transform import Rotation
 
-from svc_ros.io.free_space import free_directions
-from svc_ros.io.point_cloud2 import CloudReading, scan_from_cloud
+from svc_ros.io.clouds.free_space import free_directions
+from svc_ros.io.clouds.point_cloud2 import CloudReading, scan_from_cloud
 from svc_ros.simulation.sensors import LidarModel, lidar_model
 
 INF, NAN = np.full(3, np.inf), np.full(3, np.nan)

@@ -7,7 +7,7 @@ import pytest
 import reference
 from scipy.spatial.transform import Rotation
 
-from svc_ros.core import kernels
+from svc_ros.core.kernels import compatibility as kernels
 from svc_ros.core.se3 import make_pose
 
 RNG = np.random.default_rng(5)

@@ -12,7 +12,7 @@ import pytest
 from scan_file_checks import POINTS, assert_refused, write
 
 from svc_ros.core.errors import MissingDependencyError
-from svc_ros.io.scan_files import read_scan
+from svc_ros.io.clouds.files import read_scan
 
 
 def las(path: Path, points: Any) -> Path:

@@ -12,13 +12,13 @@ from level_cases import field, room, street, tilt, tilted_pair
 from scan_cases import T_ROOM, real_pair
 from simulated_scans import Place
 
-from svc_ros.core import levelled_poses as stage
 from svc_ros.core import parallel, se3
-from svc_ros.core.levelled_poses import find_levelled_poses, score_all
-from svc_ros.core.levelling import find_level
 from svc_ros.core.registration import prepare
 from svc_ros.core.scan import PreparedScan
-from svc_ros.core.wall_map import Raster, WallMap, choose_raster, wall_map
+from svc_ros.core.scans.levelling import find_level
+from svc_ros.core.scans.wall_map import Raster, WallMap, choose_raster, wall_map
+from svc_ros.core.search import levelled_poses as stage
+from svc_ros.core.search.levelled_poses import find_levelled_poses, score_all
 
 RASTER = Raster(0.5, 16)
 HALF = RASTER.size // 2

@@ -10,9 +10,9 @@ from level_cases import EYE_M, ROOM_EYE_M, field, plane, room, seen, simulated, 
 from scan_cases import prepared, random_scan
 from simulated_scans import Place
 
-from svc_ros.core import levelling
-from svc_ros.core.levelling import find_level
 from svc_ros.core.scan import PreparedScan
+from svc_ros.core.scans import levelling
+from svc_ros.core.scans.levelling import find_level
 from svc_ros.core.se3 import apply, invert, rotation_angle_deg
 
 LEVEL = np.eye(4)

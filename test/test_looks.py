@@ -11,17 +11,18 @@ from correspondence_cases import random_case
 from scan_cases import T_ROOM, random_scan, real_pair, room_config, room_scans
 from simulated_scans import Place, features_at, is_right
 
-from svc_ros.core import looks, se3
+from svc_ros.core import se3
 from svc_ros.core.config import Config, preset, with_values
-from svc_ros.core.hypotheses import generate_hypotheses
-from svc_ros.core.levelling import find_level
-from svc_ros.core.looks import RoughPoses, find_pose
-from svc_ros.core.matcher import Described, Given, Matcher
-from svc_ros.core.matching import match
+from svc_ros.core.matches.matcher import Described, Given, Matcher
+from svc_ros.core.matches.matching import match
 from svc_ros.core.pair import Pair
 from svc_ros.core.registration import extract_features, register
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Correspondences, Features
+from svc_ros.core.scans.levelling import find_level
+from svc_ros.core.search import looks
+from svc_ros.core.search.hypotheses import generate_hypotheses
+from svc_ros.core.search.looks import RoughPoses, find_pose
 from svc_ros.core.stopwatch import Stopwatch
 
 NO_MATCH = Correspondences.from_points(np.zeros((0, 3)), np.zeros((0, 3)))

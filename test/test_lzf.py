@@ -9,7 +9,7 @@ import pytest
 from lzf_compression import lzf_compress
 
 from svc_ros.core.errors import UnsupportedCloudError
-from svc_ros.io.lzf import lzf_decompress
+from svc_ros.io.clouds.lzf import lzf_decompress
 
 
 @pytest.mark.parametrize("data", [b"", b"a", b"abc" * 100, bytes(5000), np.random.default_rng(0).bytes(3000)])

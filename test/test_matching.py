@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import reference
 
-from svc_ros.core import matching
 from svc_ros.core.config import MatchingConfig
+from svc_ros.core.matches import matching
 from svc_ros.core.scan import Features, PreparedScan
 
 RNG = np.random.default_rng(11)

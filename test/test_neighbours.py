@@ -7,7 +7,7 @@ import pytest
 import reference
 from scan_cases import random_scan
 
-from svc_ros.core.neighbours import DirectionGrid, NearestGrid, direction_grid, nearest_grid
+from svc_ros.core.scans.neighbours import DirectionGrid, NearestGrid, direction_grid, nearest_grid
 
 RNG = np.random.default_rng(8)
 

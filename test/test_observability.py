@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from svc_ros.core import se3
 from svc_ros.core.config import CovarianceConfig, SightViewConfig
-from svc_ros.core.observability import SurfaceContact, find_contact, shift
-from svc_ros.core.placement import place
-from svc_ros.core.preprocess import preprocess
 from svc_ros.core.scan import PreparedScan
+from svc_ros.core.scans.preprocess import preprocess
+from svc_ros.core.sight.observability import SurfaceContact, find_contact, shift
+from svc_ros.core.sight.placement import place
 
 CONFIG = CovarianceConfig()
 POSE = se3.make_pose(Rotation.from_euler("zyx", [20, 3, -2], degrees=True).as_matrix(), (1.0, -0.5, 0.2))

@@ -8,8 +8,8 @@ import pytest
 from svc_ros.core import se3
 from svc_ros.core.errors import InputError
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
-from svc_ros.evaluation.links import Link, join_scans
-from svc_ros.evaluation.overview import LINK_COLOURS, draw_overview
+from svc_ros.report.links import Link, join_scans
+from svc_ros.report.overview import LINK_COLOURS, draw_overview
 from svc_ros.simulation.meshes import upright
 
 

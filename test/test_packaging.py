@@ -171,8 +171,8 @@ class TestInstallation:
             assert any((prefix / "lib").glob("python3*/site-packages/svc_ros/py.typed"))
             installed = {path.name for path in (prefix / "lib").glob("python3*/site-packages/*")}
             assert installed == {"svc_ros", f"svc_ros-{svc_ros.__version__}.dist-info"}  # no tests, no example package
-            (shell,) = (prefix / "lib").glob("python3*/site-packages/svc_ros/evaluation/report_page")
-            source_of_it = PROJECT_ROOT / "svc_ros/evaluation/report_page"
+            (shell,) = (prefix / "lib").glob("python3*/site-packages/svc_ros/report/page")
+            source_of_it = PROJECT_ROOT / "svc_ros/report/page"
             assert {path.name for path in shell.iterdir()} == {path.name for path in source_of_it.iterdir()}
 
     @pytest.mark.slow

@@ -9,10 +9,11 @@ import pytest
 import reference
 from scan_cases import prepared, random_scan, real_pair, thin
 
-from svc_ros.core import paper_rule, se3
+from svc_ros.core import se3
 from svc_ros.core.config import PaperConfig
-from svc_ros.core.preprocess import preprocess
 from svc_ros.core.scan import PreparedScan
+from svc_ros.core.scans.preprocess import preprocess
+from svc_ros.core.sight import paper_rule
 
 INDOORS = PaperConfig(tolerance_m=0.1)
 OUTDOORS = PaperConfig(tolerance_m=0.6)

@@ -12,7 +12,7 @@ from lzf_compression import lzf_compress
 from scan_file_checks import POINTS, STORED, assert_read, assert_refused, write
 
 from svc_ros.core.errors import InputError
-from svc_ros.io.scan_files import write_pcd
+from svc_ros.io.clouds.files import write_pcd
 
 PCD_TYPES = {"F4": "<f4", "F8": "<f8", "I1": "<i1", "I2": "<i2", "I4": "<i4", "I8": "<i8", "U1": "<u1", "U2": "<u2"}
 

@@ -13,14 +13,14 @@ from bag_recorder import START, S, messages_of
 from replay_cases import CONFIG, WAY, write_room_bag
 
 from svc_ros.core import se3
-from svc_ros.core.evidence import SeenSurface, SightLines
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
-from svc_ros.evaluation.replay_pictures import MAX_DENIED, MAX_LINES, draw
+from svc_ros.core.sight.evidence import SeenSurface, SightLines
 from svc_ros.io.bags import Bag
-from svc_ros.io.pictures import LineGroup, Picture, PointGroup
-from svc_ros.io.result_writer import RecordedTopic, ResultWriter
-from svc_ros.pipeline.replay import replay_pairs
-from svc_ros.pipeline.replay_clouds import ReplayedPair
+from svc_ros.io.bags.pictures import LineGroup, Picture, PointGroup
+from svc_ros.io.bags.result_writer import RecordedTopic, ResultWriter
+from svc_ros.replay.clouds import ReplayedPair
+from svc_ros.replay.pictures import MAX_DENIED, MAX_LINES, draw
+from svc_ros.replay.stream_pairs import replay_pairs
 
 T_ODOM_TARGET = se3.make_pose(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), (10.0, 20.0, 0.5))
 
@@ -136,8 +136,8 @@ def test_without_an_aligned_cloud_there_is_no_such_message(tmp_path: Path) -> No
 def test_the_node_draws_the_same(decision: ReplayedPair, tmp_path: Path) -> None:
     """Frames, names, colours, sizes and points of all markers, and both clouds."""
     pytest.importorskip("rclpy")
-    from svc_ros.ros import looks
-    from svc_ros.ros.decision import Look
+    from svc_ros.ros.streams.decision import Look
+    from svc_ros.ros.topics import looks
 
     picture, result = draw(decision, "odom"), decision.result
     assert picture is not None

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from svc_ros.core import se3
 from svc_ros.core.config import SightViewConfig
-from svc_ros.core.placement import eigenvalues, place
-from svc_ros.core.preprocess import preprocess
 from svc_ros.core.scan import PreparedScan
+from svc_ros.core.scans.preprocess import preprocess
+from svc_ros.core.sight.placement import eigenvalues, place
 
 POSE = se3.make_pose(Rotation.from_euler("zyx", [20, 3, -2], degrees=True).as_matrix(), (1.0, -0.5, 0.2))
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from svc_ros.core import se3
-from svc_ros.core.plane_kernels import fill_rows, find_axes, sum_squared, sum_up
+from svc_ros.core.kernels.plane import fill_rows, find_axes, sum_squared, sum_up
 
 POSE = se3.make_pose(Rotation.from_euler("zyx", [20, 3, -2], degrees=True).as_matrix(), (1.0, -0.5, 0.2))
 

@@ -13,7 +13,7 @@ import pytest
 from cloud_messages import CODES, FLAVOURS, FLOAT64, Cloud, Column, Field, Layout, pack, xyz_cloud, xyz_columns
 
 from svc_ros.core.errors import InputError, UnsupportedCloudError
-from svc_ros.io.point_cloud2 import CloudReading, cloud_layout, scan_from_cloud
+from svc_ros.io.clouds.point_cloud2 import CloudReading, cloud_layout, scan_from_cloud
 
 POINTS = [[1.0, 2.0, 3.0], [-4.0, 5.5, 6.25], [7.0, -8.0, 9.0], [10.0, 11.0, -12.0], [0.5, 0.0, 0.0], [0.0, 0.0, -2.0]]
 STAMP_NS = 1_500_000_000_250_000_000

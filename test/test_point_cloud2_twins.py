@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from svc_ros.core.errors import UnsupportedCloudError
-from svc_ros.io.point_cloud2 import CloudReading, scan_from_cloud
+from svc_ros.io.clouds.point_cloud2 import CloudReading, scan_from_cloud
 
 
 def assert_points(reading: CloudReading, expected: Any) -> None:

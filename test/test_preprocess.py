@@ -10,11 +10,11 @@ import reference_surfaces
 from assertions import assert_same_bits
 from mini_data import POSES, scan_room
 
-from svc_ros.core import preprocess as stage
 from svc_ros.core.config import PreprocessConfig
 from svc_ros.core.errors import ConfigError, TooFewPointsError
 from svc_ros.core.range_image import build_range_image
 from svc_ros.core.scan import Scan
+from svc_ros.core.scans import preprocess as stage
 
 CONFIG = PreprocessConfig(voxel_size_m=0.2, min_range_m=0.3, max_range_m=30.0)
 RNG = np.random.default_rng(3)

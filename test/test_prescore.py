@@ -8,9 +8,9 @@ import reference
 from scan_cases import T_ROOM, random_scan, room_config, room_scans
 from scipy.spatial.transform import Rotation
 
-from svc_ros.core import prescore as stage
 from svc_ros.core import se3
 from svc_ros.core.registration import prepare
+from svc_ros.core.search import prescore as stage
 
 
 def random_poses(num: int) -> np.ndarray:

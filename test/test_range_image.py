@@ -8,9 +8,9 @@ import reference_images as reference
 from assertions import assert_same_bits
 from image_cases import CASES, MIN_RANGE, cells_of, directions_of, raster, seen
 
-from svc_ros.core import range_image_kernels
-from svc_ros.core.preprocess import estimate_beam_spacing_deg
+from svc_ros.core.kernels import range_image as range_image_kernels
 from svc_ros.core.range_image import _LEAST_HELD, RangeImage, _build, _tables, build_range_image
+from svc_ros.core.scans.preprocess import estimate_beam_spacing_deg
 
 ORIGIN = np.zeros(3)
 SIZES = [(0.4, 0.4), (0.945, 0.9), (2.1, 0.4), (2.5, 2.5), (50.0, 60.0)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from test_readme import rows as readme_rows
 
 from svc_ros.core.result import Reason, Verdict
-from svc_ros.evaluation.reasons import REASON_TEXTS, VERDICT_TEXTS
+from svc_ros.report.reasons import REASON_TEXTS, VERDICT_TEXTS
 
 
 def test_every_reason_and_verdict_has_its_text():

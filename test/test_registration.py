@@ -17,7 +17,7 @@ from scan_cases import T_ROOM, prepared, room_config, room_scans
 from svc_ros.core import se3
 from svc_ros.core.config import METHODS
 from svc_ros.core.errors import InputError, TooFewPointsError
-from svc_ros.core.matching import match
+from svc_ros.core.matches.matching import match
 from svc_ros.core.registration import extract_features, prepare, register, verify
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Correspondences, Features, Scan

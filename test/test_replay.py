@@ -17,8 +17,8 @@ from svc_ros.core.errors import InputError
 from svc_ros.core.result import Reason, Verdict
 from svc_ros.core.se3 import make_pose, pose_error
 from svc_ros.io.bags import Bag, CloudBagWriter
-from svc_ros.pipeline import replay
-from svc_ros.pipeline.replay import replay_pairs
+from svc_ros.replay import stream_pairs as replay
+from svc_ros.replay.stream_pairs import replay_pairs
 
 CONFIG = preset("lidar_indoor")
 START_NS = 1_700_000_000_123_456_789

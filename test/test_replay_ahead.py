@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from svc_ros.pipeline.replay_ahead import ahead
+from svc_ros.replay.ahead import ahead
 
 
 def threads_ahead() -> list[threading.Thread]:

@@ -9,7 +9,7 @@ import pytest
 from replay_cases import job
 
 from svc_ros.core.errors import InputError
-from svc_ros.evaluation.replay_bags import expand_bags, folder_names, jobs_of, write_common_summary
+from svc_ros.replay.bags import expand_bags, folder_names, jobs_of, write_common_summary
 
 
 def make_bags(folder: Path) -> None:

@@ -11,7 +11,7 @@ from replay_cases import MOUNTING, STAMPS, WAY, write_room_bag
 
 from svc_ros.core.errors import InputError, TransformUnavailableError
 from svc_ros.io.bags import Bag
-from svc_ros.pipeline.replay_clouds import BagPart, read_clouds
+from svc_ros.replay.clouds import BagPart, read_clouds
 
 
 @pytest.fixture(scope="module")

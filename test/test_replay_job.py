@@ -11,7 +11,7 @@ import pytest
 from replay_cases import job
 
 from svc_ros.core.errors import InputError
-from svc_ros.evaluation.replay_job import MODES
+from svc_ros.replay.job import MODES
 
 
 @pytest.fixture

@@ -13,9 +13,9 @@ from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.io.bags import Bag
 from svc_ros.io.results import result_from_json, result_to_json
 from svc_ros.pipeline.keyframes import Keyframe
-from svc_ros.pipeline.replay import replay_pairs
-from svc_ros.pipeline.replay_clouds import ReplayedPair
-from svc_ros.pipeline.replay_known import KnownLoops, look_again
+from svc_ros.replay.clouds import ReplayedPair
+from svc_ros.replay.known import KnownLoops, look_again
+from svc_ros.replay.stream_pairs import replay_pairs
 
 
 def first_pair(path: Path, method: str) -> ReplayedPair:

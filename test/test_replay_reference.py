@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from svc_ros.core import se3
 from svc_ros.core.errors import InputError, MissingDependencyError
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
-from svc_ros.evaluation.replay_reference import Reference, check_evo, trajectory_errors
+from svc_ros.evaluation.bag_reference import Reference, check_evo, trajectory_errors
 from svc_ros.io.bags import Bag
 from svc_ros.io.trajectories import Trajectory, write_tum
 from svc_ros.pipeline.stream import StreamDecision

@@ -22,11 +22,13 @@ from replay_cases import (
 
 from svc_ros.core.config import with_values
 from svc_ros.core.errors import InputError
-from svc_ros.evaluation import replay_run
-from svc_ros.evaluation.replay_job import MODES
-from svc_ros.evaluation.replay_run import replay_bag
 from svc_ros.io.bags import Bag
-from svc_ros.pipeline import loop_closure, replay, replay_known
+from svc_ros.pipeline import loop_closure
+from svc_ros.replay import known as replay_known
+from svc_ros.replay import run as replay_run
+from svc_ros.replay import stream_pairs as replay
+from svc_ros.replay.job import MODES
+from svc_ros.replay.run import replay_bag
 
 MODES_AND_STOPS = [("pair", 4), ("scan_matching", 3), ("loop_closure", 6)]
 

@@ -35,15 +35,15 @@ from replay_cases import (
 from svc_ros.core import se3
 from svc_ros.core.config import preset, with_values
 from svc_ros.core.errors import ConfigError, InputError, MissingDependencyError
-from svc_ros.evaluation import replay_run
-from svc_ros.evaluation.replay_job import MODES, ReplayJob
-from svc_ros.evaluation.replay_reference import MAX_ROTATION_DEG, MAX_TRANSLATION_M
-from svc_ros.evaluation.replay_run import replay_bag
+from svc_ros.evaluation.bag_reference import MAX_ROTATION_DEG, MAX_TRANSLATION_M
 from svc_ros.io.bags import Bag, CloudBagWriter
+from svc_ros.io.bags.result_writer import PICTURE_TOPICS, RESULT_TOPICS
 from svc_ros.io.config_yaml import read_config
 from svc_ros.io.g2o import read_g2o
-from svc_ros.io.result_writer import PICTURE_TOPICS, RESULT_TOPICS
 from svc_ros.io.trajectories import read_tum
+from svc_ros.replay import run as replay_run
+from svc_ros.replay.job import MODES, ReplayJob
+from svc_ros.replay.run import replay_bag
 
 NUM_DECISIONS = {"pair": 6, "scan_matching": 7, "loop_closure": 3}
 

@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from svc_ros.cli.main import app
 from svc_ros.core.config import preset
 from svc_ros.core.errors import InputError
-from svc_ros.evaluation.replay_job import ReplayJob
-from svc_ros.evaluation.replay_spread import replay_over
+from svc_ros.replay.job import ReplayJob
+from svc_ros.replay.spread import replay_over
 from svc_ros.simulation.drive import DriveConfig, simulate_drive
 
 pytest.importorskip("distributed")

@@ -22,8 +22,9 @@ from svc_ros.io.g2o import read_g2o, write_g2o
 from svc_ros.io.trajectories import read_tum
 from svc_ros.pipeline.loop_closure import LoopCloser
 from svc_ros.pipeline.pose_graph import build_pose_graph
-from svc_ros.pipeline.replay_clouds import RecordedCloud
-from svc_ros.pipeline.replay_stream import (
+from svc_ros.pipeline.scan_matching import ScanMatcher
+from svc_ros.replay.clouds import RecordedCloud
+from svc_ros.replay.stream import (
     TrackedCloud,
     loop_steps,
     matching_steps,
@@ -32,7 +33,6 @@ from svc_ros.pipeline.replay_stream import (
     replay_loop_closure,
     replay_scan_matching,
 )
-from svc_ros.pipeline.scan_matching import ScanMatcher
 
 CONFIG = with_values(preset("lidar_indoor"), {"loop_closure.min_gap_s": 0.35, "loop_closure.keyframe_distance_m": 0.2})
 START_NS, STEP_NS = 1_700_000_000_123_456_789, 100_000_000

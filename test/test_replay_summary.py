@@ -10,7 +10,7 @@ import pytest
 from test_replay_track import SECOND, link, step
 
 import svc_ros
-from svc_ros.evaluation.replay_summary import Tally, versions
+from svc_ros.replay.summary import Tally, versions
 
 STAMPS = [k * SECOND for k in range(5)]
 

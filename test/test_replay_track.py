@@ -9,9 +9,9 @@ from svc_ros.core import se3
 from svc_ros.core.config import preset
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Scan
-from svc_ros.evaluation.replay_track import LoopTrack, PairTrack, StreamTrack
 from svc_ros.pipeline.loop_closure import LoopCloser
-from svc_ros.pipeline.replay_clouds import RecordedCloud, ReplayedPair, ReplayStep
+from svc_ros.replay.clouds import RecordedCloud, ReplayedPair, ReplayStep
+from svc_ros.replay.track import LoopTrack, PairTrack, StreamTrack
 
 SECOND = 1_000_000_000
 COVARIANCE = np.diag([0.01] * 6)

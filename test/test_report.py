@@ -16,14 +16,14 @@ from svc_ros.core import se3
 from svc_ros.core.config import preset, with_values
 from svc_ros.core.decision import decide
 from svc_ros.core.errors import InputError, MissingDependencyError
-from svc_ros.core.evidence import SeenSurface, SightLines, SightViewEvidence
 from svc_ros.core.result import Verdict
-from svc_ros.evaluation.report import write_report, write_view
-from svc_ros.evaluation.report_data import Run, choose_drawn, read_run, verdict_of, verdict_strip, worst_decisions
-from svc_ros.evaluation.report_plots import decision_border, map_from_above, stage_times
-from svc_ros.evaluation.scenes import make_scene
+from svc_ros.core.sight.evidence import SeenSurface, SightLines, SightViewEvidence
 from svc_ros.io.results import read_jsonl, result_to_json, write_jsonl
 from svc_ros.io.trajectories import Trajectory
+from svc_ros.report.data import Run, choose_drawn, read_run, verdict_of, verdict_strip, worst_decisions
+from svc_ros.report.plots import decision_border, map_from_above, stage_times
+from svc_ros.report.report import write_report, write_view
+from svc_ros.report.scenes import make_scene
 
 DATA = re.compile(r'<script id="report-data" type="application/json">(.*?)</script>', re.DOTALL)
 

@@ -11,9 +11,9 @@ import pytest
 from report_cases import REFUSED, REJECTED, judged, write_run
 from test_cli import run
 
-from svc_ros.evaluation.report import write_report, write_view
-from svc_ros.evaluation.scenes import make_scene
 from svc_ros.io.results import read_jsonl, result_to_json
+from svc_ros.report.report import write_report, write_view
+from svc_ros.report.scenes import make_scene
 from svc_ros.simulation import DriveConfig, simulate_drive
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tools"))

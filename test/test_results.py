@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from svc_ros.core.errors import InputError
-from svc_ros.core.evidence import SeenSurface, SightLines, SightViewEvidence
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.se3 import make_pose
+from svc_ros.core.sight.evidence import SeenSurface, SightLines, SightViewEvidence
 from svc_ros.io.results import (
     append_jsonl,
     decision_values,

@@ -14,10 +14,10 @@ pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
 from svc_ros.core.errors import MissingDependencyError
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.se3 import make_pose
-from svc_ros.ros.back_ends import edge_output
-from svc_ros.ros.conversions import header
-from svc_ros.ros.decision import Decision
-from svc_ros.ros.worker import CloudLabel
+from svc_ros.ros.streams.decision import Decision
+from svc_ros.ros.streams.worker import CloudLabel
+from svc_ros.ros.topics.back_ends import edge_output
+from svc_ros.ros.topics.conversions import header
 
 pytestmark = pytest.mark.dds
 

@@ -16,10 +16,10 @@ from ros_bench import matrix
 from svc_ros.core.errors import InputError, MissingDependencyError, TransformUnavailableError
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.se3 import make_pose
-from svc_ros.io.point_cloud2 import scan_from_cloud
-from svc_ros.ros import conversions
-from svc_ros.ros.frames import Frames, TransformOutput
+from svc_ros.io.clouds.point_cloud2 import scan_from_cloud
 from svc_ros.ros.parameters import NodeSettings
+from svc_ros.ros.topics import conversions
+from svc_ros.ros.topics.frames import Frames, TransformOutput
 
 T = make_pose([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], [1.0, -2.0, 0.5])
 STAMP = 1_700_000_000_123_456_789

@@ -17,7 +17,7 @@ from mini_data import POSES, scan_room, sensor_pose
 from ros_bench import SECOND, Bench, NodeBench, StreamBench, cloud
 
 from svc_ros.core.errors import UnsupportedCloudError
-from svc_ros.io.point_cloud2 import scan_from_cloud
+from svc_ros.io.clouds.point_cloud2 import scan_from_cloud
 from svc_ros.ros.processes import own_domain_id
 
 pytestmark = pytest.mark.dds

@@ -13,14 +13,14 @@ pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
 from rich.console import Console
 
 from svc_ros.core.errors import InputError
-from svc_ros.core.evidence import SeenSurface, SightLines, SightViewEvidence
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.se3 import make_pose
+from svc_ros.core.sight.evidence import SeenSurface, SightLines, SightViewEvidence
 from svc_ros.ros.collector import result_from_decision
 from svc_ros.ros.judgement import decisions_table, expected_pairs, judge, record_of, verdict_on
-from svc_ros.ros.outputs import _values as values_of
-from svc_ros.ros.registrar import Decision
-from svc_ros.ros.worker import CloudLabel
+from svc_ros.ros.streams.registrar import Decision
+from svc_ros.ros.streams.worker import CloudLabel
+from svc_ros.ros.topics.outputs import _values as values_of
 
 NS = 1_000_000_000
 POSES = np.stack([make_pose(np.eye(3), (x, 0.0, 0.0)) for x in (0.0, 1.0, 50.0, 51.0)])

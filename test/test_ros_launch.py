@@ -200,7 +200,7 @@ def test_foxglove_names_keys_and_statuses_that_are_sent():
     pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
     from svc_ros.core.result import Reason, RegistrationResult, Verdict
     from svc_ros.io.results import decision_values
-    from svc_ros.ros.conversions import decision_message
+    from svc_ros.ros.topics.conversions import decision_message
 
     panels = json.loads(FOXGLOVE.read_text("utf-8"))["configById"]
     result = RegistrationResult(Verdict.REJECTED, Reason.LOW_OVERLAP)

@@ -12,14 +12,14 @@ import numpy as np
 from mini_data import POSES, pose_between, scan_room
 
 from svc_ros.core.config import preset
-from svc_ros.core.evidence import SeenSurface
 from svc_ros.core.registration import prepare, verify
 from svc_ros.core.scan import Scan
 from svc_ros.core.se3 import apply
-from svc_ros.ros import looks
-from svc_ros.ros.decision import Decision, Look
-from svc_ros.ros.looks import LookOutputs
-from svc_ros.ros.worker import CloudLabel
+from svc_ros.core.sight.evidence import SeenSurface
+from svc_ros.ros.streams.decision import Decision, Look
+from svc_ros.ros.streams.worker import CloudLabel
+from svc_ros.ros.topics import looks
+from svc_ros.ros.topics.looks import LookOutputs
 
 TOPICS = ("~/aligned", "~/blocked_points", "~/sight_lines")
 MADE_BY = {"~/aligned": "cloud_message", "~/blocked_points": "blocked_points", "~/sight_lines": "sight_line_markers"}

@@ -24,8 +24,8 @@ from svc_ros.io.stamps import ns_from_stamp, ns_from_text
 from svc_ros.io.trajectories import read_tum
 from svc_ros.ros.bag_player import CloudPlayer
 from svc_ros.ros.collector import spin_until
-from svc_ros.ros.conversions import header, plain_pose, pose_message
 from svc_ros.ros.processes import own_domain_id
+from svc_ros.ros.topics.conversions import header, plain_pose, pose_message
 
 pytestmark = pytest.mark.dds
 

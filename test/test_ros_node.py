@@ -23,11 +23,11 @@ from visualization_msgs.msg import Marker, MarkerArray  # noqa: E402
 
 from svc_ros.core.result import Reason, RegistrationResult, Verdict  # noqa: E402
 from svc_ros.core.se3 import apply, pose_error  # noqa: E402
-from svc_ros.io.point_cloud2 import scan_from_cloud  # noqa: E402
+from svc_ros.io.clouds.point_cloud2 import scan_from_cloud  # noqa: E402
 from svc_ros.ros.collector import DecisionCollector, spin_until  # noqa: E402
-from svc_ros.ros.conversions import pose_message  # noqa: E402
-from svc_ros.ros.looks import MAX_LINES  # noqa: E402
 from svc_ros.ros.processes import ChildProcess, local_environment, own_domain_id  # noqa: E402
+from svc_ros.ros.topics.conversions import pose_message  # noqa: E402
+from svc_ros.ros.topics.looks import MAX_LINES  # noqa: E402
 
 pytestmark = pytest.mark.dds
 

@@ -11,11 +11,11 @@ pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
 
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.se3 import make_pose
-from svc_ros.ros.conversions import odometry_message
-from svc_ros.ros.decision import Decision, OdometryEstimate
-from svc_ros.ros.odometry_outputs import OdometryOutputs
 from svc_ros.ros.parameters import NodeSettings
-from svc_ros.ros.worker import CloudLabel
+from svc_ros.ros.streams.decision import Decision, OdometryEstimate
+from svc_ros.ros.streams.worker import CloudLabel
+from svc_ros.ros.topics.conversions import odometry_message
+from svc_ros.ros.topics.odometry_outputs import OdometryOutputs
 
 pytestmark = pytest.mark.dds
 

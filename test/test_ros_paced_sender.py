@@ -7,8 +7,8 @@ import time
 
 import pytest
 
-from svc_ros.ros import paced_sender
-from svc_ros.ros.paced_sender import PacedSender
+from svc_ros.ros.topics import paced_sender
+from svc_ros.ros.topics.paced_sender import PacedSender
 
 
 @pytest.fixture(autouse=True)

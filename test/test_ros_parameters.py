@@ -18,10 +18,10 @@ from svc_ros.core.auto_preset import Choice, Outlook  # noqa: E402
 from svc_ros.core.config import Config, preset, walk, with_values  # noqa: E402
 from svc_ros.core.errors import ConfigError, MissingDependencyError  # noqa: E402
 from svc_ros.core.result import Reason  # noqa: E402
-from svc_ros.ros.first_choice import FirstChoice  # noqa: E402
 from svc_ros.ros.parameters import OWN, NodeParameters, NodeSettings  # noqa: E402
 from svc_ros.ros.processes import own_domain_id  # noqa: E402
-from svc_ros.ros.worker import Cloud, DropJob, PairJob  # noqa: E402
+from svc_ros.ros.streams.first_choice import FirstChoice  # noqa: E402
+from svc_ros.ros.streams.worker import Cloud, DropJob, PairJob  # noqa: E402
 
 pytestmark = pytest.mark.dds
 

@@ -13,8 +13,8 @@ from svc_ros.core.errors import TransformUnavailableError
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.se3 import invert, make_pose
 from svc_ros.pipeline.stream import StreamDecision
-from svc_ros.ros.odometry_track import OdometryTrack
-from svc_ros.ros.poses import PoseBuffer
+from svc_ros.ros.streams.odometry_track import OdometryTrack
+from svc_ros.ros.topics.poses import PoseBuffer
 
 SECOND = 1_000_000_000
 SKEW = SECOND // 20

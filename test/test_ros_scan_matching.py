@@ -19,7 +19,7 @@ from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool, Trigger
 
 from svc_ros.core.se3 import invert, make_pose, pose_error
-from svc_ros.io.point_cloud2 import scan_from_cloud
+from svc_ros.io.clouds.point_cloud2 import scan_from_cloud
 from svc_ros.io.stamps import ns_from_stamp
 from svc_ros.io.trajectories import read_tum
 from svc_ros.ros.collector import spin_until

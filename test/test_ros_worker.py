@@ -14,10 +14,10 @@ from svc_ros.core.config import preset
 from svc_ros.core.errors import TransformUnavailableError
 from svc_ros.core.result import Reason, Verdict
 from svc_ros.core.se3 import pose_error
-from svc_ros.io.point_cloud2 import cloud_layout
-from svc_ros.ros import registrar as registrar_module
-from svc_ros.ros.registrar import PairRegistrar, warm_up
-from svc_ros.ros.worker import Cloud, DropJob, JobQueue, PairJob, Worker
+from svc_ros.io.clouds.point_cloud2 import cloud_layout
+from svc_ros.ros.streams import registrar as registrar_module
+from svc_ros.ros.streams.registrar import PairRegistrar, warm_up
+from svc_ros.ros.streams.worker import Cloud, DropJob, JobQueue, PairJob, Worker
 
 CONFIG = preset("lidar_indoor")
 SCANS = [scan_room(T, seed=k) for k, T in enumerate(POSES)]

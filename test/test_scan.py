@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from svc_ros.core.errors import InputError
-from svc_ros.core.evidence import SeenSurface, SightLines, SightViewEvidence
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Correspondences, Features, HypothesisSet, PreparedScan, Scan
+from svc_ros.core.sight.evidence import SeenSurface, SightLines, SightViewEvidence
 
 POINTS = np.arange(30.0).reshape(10, 3)
 

@@ -10,7 +10,7 @@ import pytest
 from scan_file_checks import POINTS, assert_read, assert_refused, write
 
 from svc_ros.core.errors import InputError
-from svc_ros.io.scan_files import SUFFIXES, read_scan
+from svc_ros.io.clouds.files import SUFFIXES, read_scan
 
 
 def test_missing_file(tmp_path: Path) -> None:

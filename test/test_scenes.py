@@ -10,10 +10,10 @@ from svc_ros.core import se3
 from svc_ros.core.errors import InputError
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import PreparedScan
-from svc_ros.evaluation import scenes
-from svc_ros.evaluation.scenes import SceneKeeper, make_scene
-from svc_ros.evaluation.sight_lines import MAX_DENIED, MAX_LINES
 from svc_ros.io.results import result_from_json, result_to_json
+from svc_ros.report import scenes
+from svc_ros.report.scenes import SceneKeeper, make_scene
+from svc_ros.report.sight_lines import MAX_DENIED, MAX_LINES
 
 RIGHT, WRONG, NOTHING = 0, 1, 3
 

@@ -14,14 +14,14 @@ from scipy.spatial.transform import Rotation
 
 from svc_ros.core import se3
 from svc_ros.core.config import SightViewConfig
-from svc_ros.core.evidence import SeenSurface
-from svc_ros.core.placement import place
-from svc_ros.core.preprocess import preprocess
-from svc_ros.core.prescore import thinned_scan
 from svc_ros.core.range_image import build_range_image
 from svc_ros.core.scan import Array, PreparedScan
-from svc_ros.core.seen_surface import look_through
-from svc_ros.core.sight_view import gather_evidence, glance
+from svc_ros.core.scans.preprocess import preprocess
+from svc_ros.core.search.prescore import thinned_scan
+from svc_ros.core.sight.evidence import SeenSurface
+from svc_ros.core.sight.placement import place
+from svc_ros.core.sight.seen_surface import look_through
+from svc_ros.core.sight.sight_view import gather_evidence, glance
 
 CONFIG = SightViewConfig(tolerance_m=0.6, denied_margin=0.5, denied_margin_per_range=0.01, wide_cluster_deg=30.0)
 POSE = se3.make_pose(Rotation.from_euler("zyx", [50, 8, -4], degrees=True).as_matrix(), (1.0, -2.0, 0.3))

@@ -8,15 +8,17 @@ from assertions import assert_same_bits, assert_same_pose
 from correspondence_cases import KITTI_PAIRS, read_kitti_case
 from scan_cases import T_ROOM, real_pair, room_config, room_scans
 
-from svc_ros.core import decision, methods, paper_rule, se3, selection, shortlist
+from svc_ros.core import decision, methods, se3, selection
 from svc_ros.core.config import METHODS, preset, with_values
-from svc_ros.core.hypotheses import generate_hypotheses
-from svc_ros.core.matching import match
+from svc_ros.core.matches.matching import match
 from svc_ros.core.pair import Pair
 from svc_ros.core.registration import extract_features, register, verify
 from svc_ros.core.result import Reason, Verdict
+from svc_ros.core.search import shortlist
+from svc_ros.core.search.hypotheses import generate_hypotheses
+from svc_ros.core.sight import paper_rule
 from svc_ros.core.stopwatch import Stopwatch
-from svc_ros.io.scan_files import read_scan
+from svc_ros.io.clouds.files import read_scan
 
 
 @pytest.fixture(scope="module")

@@ -13,12 +13,12 @@ from scan_cases import T_ROOM, room_config, room_scans
 from scipy.spatial.transform import Rotation
 
 from svc_ros.core import se3
-from svc_ros.core import shortlist as stage
 from svc_ros.core.config import HypothesisConfig, ShortlistConfig
-from svc_ros.core.hypotheses import generate_hypotheses
-from svc_ros.core.matching import match
+from svc_ros.core.matches.matching import match
 from svc_ros.core.registration import extract_features
 from svc_ros.core.scan import Correspondences
+from svc_ros.core.search import shortlist as stage
+from svc_ros.core.search.hypotheses import generate_hypotheses
 
 LIMITS = ShortlistConfig(distinct_rotation_deg=5.0, distinct_translation_m=1.0)
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from svc_ros.core.evidence import SeenSurface, SightLines
-from svc_ros.evaluation.sight_lines import MAX_DENIED, choose_denied, choose_evenly, choose_lines
+from svc_ros.core.sight.evidence import SeenSurface, SightLines
+from svc_ros.report.sight_lines import MAX_DENIED, choose_denied, choose_evenly, choose_lines
 
 
 def lines(num: int, blocked: list[int]) -> SightLines:

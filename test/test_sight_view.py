@@ -10,12 +10,13 @@ import reference
 from scan_cases import prepared, random_scan, real_pair, thin
 from scipy.spatial.transform import Rotation
 
-from svc_ros.core import paper_rule, se3
+from svc_ros.core import se3
 from svc_ros.core.config import PaperConfig, SightViewConfig
-from svc_ros.core.preprocess import preprocess
 from svc_ros.core.range_image import build_range_image
 from svc_ros.core.scan import PreparedScan
-from svc_ros.core.sight_view import cone_half_angle_deg, gather_evidence, glance, index, look_both_ways
+from svc_ros.core.scans.preprocess import preprocess
+from svc_ros.core.sight import paper_rule
+from svc_ros.core.sight.sight_view import cone_half_angle_deg, gather_evidence, glance, index, look_both_ways
 
 
 def fixed_cone(half_angle_deg: float, tolerance: float, radius: float, incidence_deg: float) -> SightViewConfig:

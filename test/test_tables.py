@@ -11,7 +11,7 @@ import pytest
 from conftest import PROJECT_ROOT
 from test_readme import module_from
 
-from svc_ros.core.seen_surface import look_through
+from svc_ros.core.sight.seen_surface import look_through
 
 PAGE = PROJECT_ROOT / "docs" / "how_it_decides.md"
 BENCHMARKS = PROJECT_ROOT / "docs" / "benchmarks.md"

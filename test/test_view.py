@@ -14,8 +14,8 @@ from test_report import data_of
 from svc_ros.core.config import preset, with_values
 from svc_ros.core.errors import InputError
 from svc_ros.core.registration import prepare, verify
-from svc_ros.evaluation.look_again import look_again
 from svc_ros.io.results import result_from_json, result_to_json
+from svc_ros.report.look_again import look_again
 
 FAR = {"shortlist.max_moved_translation_m": 100.0, "shortlist.max_moved_rotation_deg": 180.0}
 

@@ -11,11 +11,11 @@ import reference_wall_maps as reference
 from level_cases import EYE_M, field, plane, room, seen, street, tilt
 from scan_cases import prepared
 
-from svc_ros.core import wall_map as stage
-from svc_ros.core import wall_map_kernels as kernels
-from svc_ros.core.levelling import find_level
+from svc_ros.core.kernels import wall_map as kernels
 from svc_ros.core.scan import PreparedScan
-from svc_ros.core.wall_map import Raster, WallMap, choose_raster, wall_map
+from svc_ros.core.scans import wall_map as stage
+from svc_ros.core.scans.levelling import find_level
+from svc_ros.core.scans.wall_map import Raster, WallMap, choose_raster, wall_map
 
 LEVEL = np.eye(4)
 RASTER = Raster(0.5, 96)

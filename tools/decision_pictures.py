@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from svc_ros.core import se3
 from svc_ros.core.config import Config, DecisionConfig, preset
 from svc_ros.core.decision import Decision, decide
-from svc_ros.core.evidence import SeenSurface, SightLines, SightViewEvidence
-from svc_ros.core.placement import Placement, place
 from svc_ros.core.registration import prepare, verify
 from svc_ros.core.result import Verdict
 from svc_ros.core.scan import PreparedScan
-from svc_ros.core.seen_surface import look_through
+from svc_ros.core.sight.evidence import SeenSurface, SightLines, SightViewEvidence
+from svc_ros.core.sight.placement import Placement, place
+from svc_ros.core.sight.seen_surface import look_through
 from svc_ros.simulation import DriveConfig, drive_scans
 
 PROJECT_ROOT = Path(__file__).resolve().parent.parent

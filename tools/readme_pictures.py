@@ -14,10 +14,10 @@ from PIL import Image
 
 from svc_ros.core import se3
 from svc_ros.core.config import preset
-from svc_ros.core.evidence import SightViewEvidence
 from svc_ros.core.registration import prepare, verify
 from svc_ros.core.scan import PreparedScan
-from svc_ros.core.sight_view import gather_evidence
+from svc_ros.core.sight.evidence import SightViewEvidence
+from svc_ros.core.sight.sight_view import gather_evidence
 from svc_ros.io.bags import Bag
 from svc_ros.io.trajectories import read_tum
 

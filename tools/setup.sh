@@ -51,6 +51,6 @@ echo "compiling the kernels, once"
 find svc_ros -name "*.nb[ic]" -delete  # numba looks at the file of a kernel only, not at those that it calls
 .venv/bin/python -c "
 from svc_ros.core.config import preset
-from svc_ros.ros.registrar import warm_up
+from svc_ros.ros.streams.registrar import warm_up
 warm_up(preset('lidar_outdoor'))" </dev/null || echo "warning: that failed; they are compiled when they are first needed"
 echo "ready: .venv/bin/svc_ros doctor says what works"

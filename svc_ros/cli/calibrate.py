@@ -97,7 +97,7 @@ def calibrate(
     """
     check_json_target(json_target)
     _check_page(page and out is not None)
-    from svc_ros.evaluation.calibration import pairs_needed
+    from svc_ros.evaluation.calibration.claims import pairs_needed
 
     needed = pairs_needed(max_wrong_rate, confidence)
     sources = _sources(data, reference or [], (topic, reference_frame, sensor_frame))
@@ -107,8 +107,8 @@ def calibrate(
     with tempfile.TemporaryDirectory(prefix="svc_ros_") as folder:
         sets = _opened(sources, settings, (limit or needed, limit or needed // 2), Path(folder))
         with progress(f"judging {', '.join(dataset.name for dataset, _ in sets)}") as on_progress:
-            from svc_ros.evaluation.calibration_run import CalibrationOptions, calibrate
-            from svc_ros.evaluation.calibration_summary import Goal
+            from svc_ros.evaluation.calibration.run import CalibrationOptions, calibrate
+            from svc_ros.evaluation.calibration.summary import Goal
 
             goal = Goal(max_wrong_rate, confidence, settings.config.decision.min_probability)
             summary = calibrate(sets, CalibrationOptions(goal, register, limit, workers, seed), on_progress)
@@ -172,7 +172,7 @@ def _settings(
 def _choose(source: Dataset | BagSource) -> Choice:
     from svc_ros.io.bags import Bag
     from svc_ros.io.datasets import Dataset
-    from svc_ros.pipeline.replay_clouds import BagPart, first_scans
+    from svc_ros.replay.clouds import BagPart, first_scans
 
     if isinstance(source, Dataset):
         return choose_for(source)
@@ -206,8 +206,8 @@ def _ranges(sets: Sequence[tuple[Dataset, Config]]) -> str:
 
 
 def _show(console: Console, summary: dict[str, Any]) -> None:
-    from svc_ros.evaluation.calibration_page import border_rows, count_rows
-    from svc_ros.evaluation.calibration_summary import statement
+    from svc_ros.evaluation.calibration.page import border_rows, count_rows
+    from svc_ros.evaluation.calibration.summary import statement
 
     names = ", ".join(one["dataset"] for one in summary["datasets"])
     chosen = summary.get("chosen_preset")
@@ -223,13 +223,13 @@ def _show(console: Console, summary: dict[str, Any]) -> None:
 
 def _write(out: Path, summary: dict[str, Any], settings: Settings, how: tuple[bool, bool, str]) -> None:
     """how: whether a page is wanted, whether a value that keeps no promise is, and ranges that are not the config's."""
-    from svc_ros.evaluation.calibration_run import calibrated_yaml
-    from svc_ros.evaluation.calibration_summary import statement
+    from svc_ros.evaluation.calibration.run import calibrated_yaml
+    from svc_ros.evaluation.calibration.summary import statement
 
     page, best_effort, ranges = how
     write_json(summary, str(out / "calibration.json"))
     if page:
-        from svc_ros.evaluation.calibration_page import write_calibration_page
+        from svc_ros.evaluation.calibration.page import write_calibration_page
 
         write_calibration_page(out / "calibration.html", summary)
     if summary["chosen"] or best_effort:

@@ -9,7 +9,7 @@ import typer
 import svc_ros
 from svc_ros.cli.calibrate import calibrate
 from svc_ros.cli.config import config
-from svc_ros.cli.doctor_command import doctor
+from svc_ros.cli.doctor.command import doctor
 from svc_ros.cli.evaluate import evaluate
 from svc_ros.cli.exit_codes import OneDoor
 from svc_ros.cli.register import register

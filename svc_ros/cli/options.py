@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from svc_ros.core.config import AUTO, METHODS, PRESETS, Config, preset, unknown_name, with_values
-from svc_ros.core.descriptor_names import check_names
 from svc_ros.core.errors import ConfigError
+from svc_ros.core.matches.descriptor_names import check_names
 
 if TYPE_CHECKING:
     from svc_ros.core.auto_preset import Choice

@@ -15,8 +15,8 @@ from svc_ros.cli.replay_console import print_summary, replay_progress, stop_requ
 from svc_ros.core.errors import InputError
 
 if TYPE_CHECKING:
-    from svc_ros.evaluation.replay_job import ReplayJob
-    from svc_ros.evaluation.replay_spread import ReplayedBags
+    from svc_ros.replay.job import ReplayJob
+    from svc_ros.replay.spread import ReplayedBags
 
 BagArgument = Annotated[
     list[str],
@@ -93,8 +93,8 @@ def replay(
     Several bags: each leaves these in DIR/NAME, named like the bag, and DIR/summary.json tells of all of them; a bag
     that cannot be read does not keep the others. Ctrl-C ends it after the scan at hand, with complete outputs.
     """
-    from svc_ros.evaluation.replay_bags import expand_bags, jobs_of
-    from svc_ros.evaluation.replay_job import ReplayJob
+    from svc_ros.replay.bags import expand_bags, jobs_of
+    from svc_ros.replay.job import ReplayJob
 
     paths = expand_bags(bags)
     wanted = read_wanted(preset, method, config_file)
@@ -113,7 +113,7 @@ def replay(
 
 def _replay_one(job: ReplayJob) -> bool:
     """True if it was interrupted."""
-    from svc_ros.evaluation.replay_run import replay_bag
+    from svc_ros.replay.run import replay_bag
 
     with stop_request() as stopped, replay_progress("replaying") as on_progress:
         summary = replay_bag(job, on_progress, stopped)
@@ -123,8 +123,8 @@ def _replay_one(job: ReplayJob) -> bool:
 
 def _replay_several(jobs: Sequence[ReplayJob], out: Path, scheduler: str | None) -> bool:
     """True if it was interrupted. Raises InputError at the end where a bag could not be replayed."""
-    from svc_ros.evaluation.replay_bags import write_common_summary
-    from svc_ros.evaluation.replay_spread import replay_over
+    from svc_ros.replay.bags import write_common_summary
+    from svc_ros.replay.spread import replay_over
 
     make_output_folder(out)
     if scheduler is None:
@@ -144,8 +144,8 @@ def _replay_several(jobs: Sequence[ReplayJob], out: Path, scheduler: str | None)
 
 
 def _one_by_one(jobs: Sequence[ReplayJob]) -> ReplayedBags:
-    from svc_ros.evaluation.replay_run import replay_bag
-    from svc_ros.evaluation.replay_spread import ReplayedBags
+    from svc_ros.replay.run import replay_bag
+    from svc_ros.replay.spread import ReplayedBags
 
     done = ReplayedBags()
     with stop_request() as stopped:

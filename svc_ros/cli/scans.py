@@ -35,7 +35,7 @@ class ScanFiles:
 
 def read_scans(source: Path, target: Path) -> ScanFiles:
     """Read both files, one that is both only once."""
-    from svc_ros.io.scan_files import read_scan
+    from svc_ros.io.clouds.files import read_scan
 
     scans = {path: read_scan(path) for path in (source, target)}
     return ScanFiles((source, target), (scans[source], scans[target]))

@@ -37,10 +37,10 @@ def view(
     record = _read_record(result_file)
     _check_names(record, source, target, result_file)
     with working("looking"):
-        from svc_ros.evaluation.look_again import look_again
-        from svc_ros.evaluation.report import write_view
-        from svc_ros.evaluation.scenes import make_scene
         from svc_ros.io.results import result_from_json
+        from svc_ros.report.look_again import look_again
+        from svc_ros.report.report import write_view
+        from svc_ros.report.scenes import make_scene
 
         try:
             result = result_from_json(record)

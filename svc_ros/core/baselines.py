@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import dataclasses
 
-from svc_ros.core import decision, paper_rule, shortlist
-from svc_ros.core.hypotheses import generate_hypotheses
-from svc_ros.core.matcher import Matcher
+from svc_ros.core import decision
+from svc_ros.core.matches.matcher import Matcher
 from svc_ros.core.pair import Pair
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Array, Correspondences
+from svc_ros.core.search import shortlist
+from svc_ros.core.search.hypotheses import generate_hypotheses
+from svc_ros.core.sight import paper_rule
 
 
 def choose_sc2(pair: Pair, matcher: Matcher) -> RegistrationResult:

@@ -12,8 +12,8 @@ from typing import Any
 
 from svc_ros.core.config_fields import FieldInfo, Group, check_value, unknown_name, value
 from svc_ros.core.decision_config import CovarianceConfig, DecisionConfig
-from svc_ros.core.descriptor_names import split_names
 from svc_ros.core.errors import ConfigError
+from svc_ros.core.matches.descriptor_names import split_names
 from svc_ros.core.stream_config import LoopClosureConfig, ScanMatchingConfig
 
 __all__ = ["AUTO", "METHODS", "PRESETS", "Config", "FieldInfo", "preset", "unknown_name", "walk", "with_values"]

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from svc_ros.core.decision_config import DecisionConfig
-from svc_ros.core.evidence import SightViewEvidence
 from svc_ros.core.result import Reason, Verdict
+from svc_ros.core.sight.evidence import SightViewEvidence
 
 _STRAY = 3  # denied points that no scan is free of: with little confirmed surface they are a large share
 _LEAST_DENIED = 2e-3  # less than that tells nothing any more

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from svc_ros.core.baselines import choose_paper, choose_sc2, verify_paper, verify_sc2
-from svc_ros.core.looks import find_pose
-from svc_ros.core.matcher import Matcher
+from svc_ros.core.matches.matcher import Matcher
 from svc_ros.core.pair import Pair
 from svc_ros.core.result import RegistrationResult
 from svc_ros.core.scan import Array
+from svc_ros.core.search.looks import find_pose
 from svc_ros.core.selection import verify_svc
 
 METHODS: dict[str, Callable[[Pair, Matcher], RegistrationResult]] = {

@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from svc_ros.core import decision, icp
+from svc_ros.core import decision
 from svc_ros.core.config import Config
-from svc_ros.core.evidence import SightViewEvidence
-from svc_ros.core.hypotheses import Generator, generate_from_each
-from svc_ros.core.levelling import Level, find_level
-from svc_ros.core.observability import SurfaceContact, find_contact
 from svc_ros.core.parallel import on_all_processors
-from svc_ros.core.placement import place
-from svc_ros.core.prescore import thinned_scan
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import NO_HYPOTHESES, Array, Correspondences, HypothesisSet, PreparedScan
-from svc_ros.core.sight_view import gather_evidence, glance, index, look_both_ways
+from svc_ros.core.scans.levelling import Level, find_level
+from svc_ros.core.search import icp
+from svc_ros.core.search.hypotheses import Generator, generate_from_each
+from svc_ros.core.search.prescore import thinned_scan
+from svc_ros.core.sight.evidence import SightViewEvidence
+from svc_ros.core.sight.observability import SurfaceContact, find_contact
+from svc_ros.core.sight.placement import place
+from svc_ros.core.sight.sight_view import gather_evidence, glance, index, look_both_ways
 from svc_ros.core.stopwatch import Stopwatch
 
 _GLIMPSE_POINTS = 1500  # of each scan, for slips

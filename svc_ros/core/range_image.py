@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from svc_ros.core import range_image_kernels
+from svc_ros.core.kernels import range_image as range_image_kernels
 
 Array = NDArray[np.float64]
 Tables = tuple[NDArray[np.int16], NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]

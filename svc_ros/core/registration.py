@@ -5,15 +5,15 @@ from __future__ import annotations
 from numpy.typing import ArrayLike
 
 from svc_ros.core.config import Config
-from svc_ros.core.descriptors import load_descriptors
-from svc_ros.core.features import compute_features
-from svc_ros.core.matcher import Described, Given, Matcher
+from svc_ros.core.matches.descriptors import load_descriptors
+from svc_ros.core.matches.features import compute_features
+from svc_ros.core.matches.matcher import Described, Given, Matcher
 from svc_ros.core.methods import METHODS, VERIFIERS
 from svc_ros.core.pair import Pair
 from svc_ros.core.parallel import on_all_processors
-from svc_ros.core.preprocess import preprocess
 from svc_ros.core.result import RegistrationResult
 from svc_ros.core.scan import Correspondences, Features, PreparedScan, Scan
+from svc_ros.core.scans.preprocess import preprocess
 from svc_ros.core.se3 import check_pose, nearest_pose
 from svc_ros.core.stopwatch import Stopwatch
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from svc_ros.core.errors import InputError
-from svc_ros.core.evidence import SightViewEvidence
 from svc_ros.core.scan import Array, frozen_array
+from svc_ros.core.sight.evidence import SightViewEvidence
 
 
 class Verdict(str, Enum):

@@ -9,17 +9,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from svc_ros.core import decision, icp, shortlist
-from svc_ros.core.evidence import SightViewEvidence
-from svc_ros.core.observability import SurfaceContact, shift
+from svc_ros.core import decision
 from svc_ros.core.pair import Pair
 from svc_ros.core.parallel import on_all_processors
-from svc_ros.core.placement import place
-from svc_ros.core.prescore import thinned_scan
 from svc_ros.core.result import RegistrationResult, Verdict
 from svc_ros.core.scan import Array
 from svc_ros.core.se3 import half_turn, pose_error
-from svc_ros.core.sight_view import glance, index
+from svc_ros.core.search import icp, shortlist
+from svc_ros.core.search.prescore import thinned_scan
+from svc_ros.core.sight.evidence import SightViewEvidence
+from svc_ros.core.sight.observability import SurfaceContact, shift
+from svc_ros.core.sight.placement import place
+from svc_ros.core.sight.sight_view import glance, index
 
 _NOTHING_MUCH = 0.025  # denied share up to which an accepted pose is not held against its half turns
 

@@ -14,10 +14,10 @@ from svc_ros.core.config import Config
 from svc_ros.core.errors import InputError, TransformUnavailableError
 from svc_ros.core.scan import Array, IndexArray, Scan
 from svc_ros.core.se3 import invert, rotation_angle_deg
-from svc_ros.evaluation.replay_reference import MAX_ROTATION_DEG, MAX_TRANSLATION_M, Reference
+from svc_ros.evaluation.bag_reference import MAX_ROTATION_DEG, MAX_TRANSLATION_M, Reference
 from svc_ros.io.bags import Bag
+from svc_ros.io.clouds.point_cloud2 import scan_from_cloud
 from svc_ros.io.datasets import Dataset, Pair, SuccessThresholds
-from svc_ros.io.point_cloud2 import scan_from_cloud
 from svc_ros.io.stamps import ns_from_stamp
 
 _NS = 1_000_000_000

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from svc_ros.core import se3
 from svc_ros.core.errors import InputError
-from svc_ros.core.preprocess import thin_on_voxel_grid
 from svc_ros.core.scan import Array
+from svc_ros.core.scans.preprocess import thin_on_voxel_grid
 from svc_ros.io.datasets import Pair
 from svc_ros.io.suites import Suite
 from svc_ros.io.transform_files import read_transform

@@ -94,7 +94,7 @@ class Dataset:
 
     def read_scan(self, relative: str) -> Scan:
         """Read one scan by its path in the dataset, seen from the dataset's sensor origin."""
-        from svc_ros.io.scan_files import read_scan
+        from svc_ros.io.clouds.files import read_scan
 
         return dataclasses.replace(read_scan(self.root / relative), sensor_origin=self.sensor_origin)
 

@@ -16,9 +16,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from svc_ros.core.errors import InputError
-from svc_ros.core.evidence import SeenSurface, SightLines, SightViewEvidence, no_surface
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Array
+from svc_ros.core.sight.evidence import SeenSurface, SightLines, SightViewEvidence, no_surface
 from svc_ros.io.stamps import text_from_ns
 
 _Code = TypeVar("_Code", bound=Enum)

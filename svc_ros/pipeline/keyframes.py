@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterator
 
 from svc_ros.core.config import Config
-from svc_ros.core.descriptors import forget_trees
+from svc_ros.core.matches.descriptors import forget_trees
 from svc_ros.core.registration import extract_features
 from svc_ros.core.scan import Array, Features, PreparedScan
 from svc_ros.pipeline.place import PlaceLook, look_at_place

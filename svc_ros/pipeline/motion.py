@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from svc_ros.core import se3
 from svc_ros.core.config import Config
 from svc_ros.core.errors import MissingDependencyError
-from svc_ros.core.preprocess import crop_range
 from svc_ros.core.scan import Array, Scan
+from svc_ros.core.scans.preprocess import crop_range
 
 _UNLIMITED_M = 1e9  # the range crop is done by `crop_range`, which knows where the sensor stands
 _MAX_GAPS = 3.0  # a velocity is kept over at most so many of the time spans that it was measured over

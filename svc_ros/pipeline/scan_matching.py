@@ -14,10 +14,10 @@ import numpy as np
 from svc_ros.core import se3
 from svc_ros.core.config import Config
 from svc_ros.core.errors import ConfigError, InputError, MissingDependencyError
-from svc_ros.core.prescore import thinned_scan
 from svc_ros.core.registration import prepare, verify
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import PreparedScan, Scan
+from svc_ros.core.search.prescore import thinned_scan
 from svc_ros.pipeline.decide import register_pair
 from svc_ros.pipeline.keyframes import Keyframe, KeyframeStore
 from svc_ros.pipeline.motion import KissMotion, Motion

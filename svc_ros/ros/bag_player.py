@@ -27,7 +27,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from svc_ros.core.errors import InputError, SvcError
 from svc_ros.io.stamps import ns_from_stamp
 from svc_ros.ros.collector import DecisionCollector, spin_until
-from svc_ros.ros.conversions import header
+from svc_ros.ros.topics.conversions import header
 
 _DECISION_TIMEOUT_S = 60.0
 

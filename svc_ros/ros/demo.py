@@ -24,11 +24,11 @@ from rich.console import Console
 
 from svc_ros.core.errors import InputError, SvcError
 from svc_ros.core.scan import Array
-from svc_ros.evaluation.overview import Link, draw_overview
 from svc_ros.io.bags import Bag, ResultWriter
 from svc_ros.io.results import write_jsonl
 from svc_ros.io.stamps import ns_from_stamp
 from svc_ros.io.trajectories import read_tum
+from svc_ros.report.overview import Link, draw_overview
 from svc_ros.ros.collector import Answers, DecisionCollector, spin_until
 from svc_ros.ros.judgement import (
     ExpectedPair,

@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from svc_ros.core.result import Reason, Verdict
 from svc_ros.core.scan import Array
-from svc_ros.ros.decision import Decision
+from svc_ros.ros.streams.decision import Decision
 
 _RATE_WINDOW_S = 10.0
 _STALE_AFTER_S = 5.0

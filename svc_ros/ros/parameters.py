@@ -20,8 +20,8 @@ from rclpy.parameter import Parameter
 
 from svc_ros.core.auto_preset import Choice
 from svc_ros.core.config import AUTO, PRESETS, Config, FieldInfo, preset, unknown_name, walk, with_values
-from svc_ros.core.descriptors import load_descriptors
 from svc_ros.core.errors import ConfigError, MissingDependencyError
+from svc_ros.core.matches.descriptors import load_descriptors
 
 MODES = ("pair", "scan_matching", "loop_closure")
 ODOMETRY = ("own", "topic", "tf")

@@ -17,8 +17,8 @@ from rclpy.timer import Timer
 from std_srvs.srv import SetBool, Trigger
 
 from svc_ros.core.errors import SvcError
-from svc_ros.ros.loop_engine import LoopEngine
 from svc_ros.ros.parameters import NodeParameters
+from svc_ros.ros.streams.loop_engine import LoopEngine
 
 if TYPE_CHECKING:
     from svc_ros.ros.session import Session

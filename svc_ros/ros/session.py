@@ -20,18 +20,18 @@ from svc_ros.core.result import Reason
 from svc_ros.core.scan import Array, Scan
 from svc_ros.pipeline.decide import refused
 from svc_ros.pipeline.scan_matching import ScanMatcher
-from svc_ros.ros.decision import Decision, Engine, labels
 from svc_ros.ros.diagnostics import Statistics, statuses
-from svc_ros.ros.first_choice import FirstChoice
-from svc_ros.ros.frames import Frames
-from svc_ros.ros.inputs import CLOUD_INPUTS, Inputs
-from svc_ros.ros.loop_engine import LoopEngine
-from svc_ros.ros.matching_engine import MatchingEngine
-from svc_ros.ros.outputs import Outputs
 from svc_ros.ros.parameters import NodeParameters, NodeSettings
-from svc_ros.ros.registrar import PairRegistrar
 from svc_ros.ros.services import Services
-from svc_ros.ros.worker import DropJob, Job, Worker
+from svc_ros.ros.streams.decision import Decision, Engine, labels
+from svc_ros.ros.streams.first_choice import FirstChoice
+from svc_ros.ros.streams.loop_engine import LoopEngine
+from svc_ros.ros.streams.matching_engine import MatchingEngine
+from svc_ros.ros.streams.registrar import PairRegistrar
+from svc_ros.ros.streams.worker import DropJob, Job, Worker
+from svc_ros.ros.topics.frames import Frames
+from svc_ros.ros.topics.inputs import CLOUD_INPUTS, Inputs
+from svc_ros.ros.topics.outputs import Outputs
 
 # How soon Python asks the thread that computes to let the executor in. With its own 5 ms, a thread that lets go of the
 # interpreter for a moment every few milliseconds is never asked, and the executor waits for all of its work: 0.1 s.

@@ -1,0 +1,1 @@
+"""What is wrong with a bag before anybody registers it."""

@@ -1,0 +1,1 @@
+"""From scans to correspondences: descriptors and their nearest ones."""

@@ -1,0 +1,1 @@
+"""One scan before it meets another: thinned, oriented, levelled, seen from above."""

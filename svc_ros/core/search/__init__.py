@@ -1,0 +1,1 @@
+"""From correspondences, or the ground, to poses worth judging."""

@@ -1,0 +1,1 @@
+"""What a pose makes of what both sensors saw."""

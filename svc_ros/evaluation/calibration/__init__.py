@@ -1,0 +1,1 @@
+"""What to demand on one's own data."""

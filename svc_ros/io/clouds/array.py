@@ -1,0 +1,94 @@
+"""Scans in files without a header of their own (.bin) and in NumPy files."""
+
+from __future__ import annotations
+
+import io
+import math
+import zipfile
+import zlib
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from svc_ros.core.errors import UnsupportedCloudError
+from svc_ros.io.clouds.columns import RawPoints, field_index
+
+_FLOAT_BYTES = 4
+_MOST_COLUMNS = 16  # more columns than this is an array of something else, or transposed
+_DEFLATE_EXPANSION = 1032  # most bytes that one compressed byte can stand for
+
+
+def points_from_bin(data: bytes) -> RawPoints:
+    """Parse KITTI's layout: float32 x, y, z, intensity a point, little-endian, no header."""
+    return _points_from_floats(data, "x y z intensity")
+
+
+def points_from_nuscenes(data: bytes) -> RawPoints:
+    """Parse nuScenes' layout: float32 x, y, z, intensity, ring a point, little-endian, no header."""
+    return _points_from_floats(data, "x y z intensity ring")
+
+
+def _points_from_floats(data: bytes, columns: str) -> RawPoints:
+    """Columns (N,) of x, y, z [m] of points stored as these columns, named apart by blanks, in float32."""
+    num_columns = len(columns.split())
+    if len(data) % (_FLOAT_BYTES * num_columns):
+        raise UnsupportedCloudError(
+            f"truncated or not float32 {columns}: expected a multiple of {_FLOAT_BYTES * num_columns} bytes, "
+            f"found {len(data)}"
+        )
+    values = np.frombuffer(data, "<f4").reshape(-1, num_columns)
+    return RawPoints(list(values[:, :3].T))
+
+
+def points_from_npy(data: bytes) -> RawPoints:
+    """Parse one saved array: (N, 3) or wider, whose first columns are x, y, z [m], or a structured one with x, y, z."""
+    return _columns_of(_read_array(io.BytesIO(data), len(data)))
+
+
+def points_from_npz(data: bytes) -> RawPoints:
+    """Parse an archive of arrays: the one named `points`, else the only one there is."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            names = archive.namelist()
+            if "points.npy" not in names and len(names) != 1:
+                listed = ", ".join(name.removesuffix(".npy") for name in names)
+                raise UnsupportedCloudError(f"expected an array 'points' or a single one, found: {listed:.200}")
+            info = archive.getinfo("points.npy" if "points.npy" in names else names[0])
+            with archive.open(info) as member:
+                size = min(info.file_size, _DEFLATE_EXPANSION * info.compress_size)
+                return _columns_of(_read_array(member, size))
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError) as error:
+        raise UnsupportedCloudError(f"not a readable npz archive: {error}") from None
+
+
+def _read_array(stream: IO[bytes], num_bytes: int) -> NDArray[Any]:
+    """Read one .npy stream of `num_bytes`; the size that its header declares is compared before memory is taken."""
+    try:
+        major, _minor = np.lib.format.read_magic(stream)
+        if major not in (1, 2):
+            raise ValueError(f"expected format version 1 or 2, found {major}")
+        read = np.lib.format.read_array_header_1_0 if major == 1 else np.lib.format.read_array_header_2_0
+        shape, fortran_order, dtype = read(stream)
+    except (ValueError, EOFError, SyntaxError) as error:
+        raise UnsupportedCloudError(f"not a saved NumPy array: {error!s:.160}") from None
+    if dtype.hasobject:
+        raise UnsupportedCloudError("expected an array of numbers, found Python objects (pickles are never loaded)")
+    needed = math.prod(shape) * dtype.itemsize
+    data = stream.read(needed) if needed <= num_bytes else b""
+    if len(data) < needed:
+        raise UnsupportedCloudError(f"truncated: expected {needed} bytes for shape {shape}, found fewer")
+    return np.frombuffer(data, dtype).reshape(shape, order="F" if fortran_order else "C") if data else np.empty((0, 3))
+
+
+def _columns_of(array: NDArray[Any]) -> RawPoints:
+    if array.dtype.names is not None and array.ndim == 1:
+        names = list(array.dtype.names)
+        columns = [array[names[field_index(names, name)]] for name in "xyz"]
+    elif array.ndim == 2 and 3 <= array.shape[1] <= _MOST_COLUMNS:
+        columns = list(array[:, :3].T)
+    else:
+        raise UnsupportedCloudError(f"expected shape N x 3 (up to N x {_MOST_COLUMNS}), found {array.shape}")
+    if any(column.dtype.kind not in "iuf" or column.size != len(array) for column in columns):
+        raise UnsupportedCloudError(f"expected one real number a coordinate, found type {array.dtype}")
+    return RawPoints(columns)

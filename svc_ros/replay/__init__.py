@@ -1,0 +1,1 @@
+"""Bags through the pipeline: opened, decided, written, summarised."""

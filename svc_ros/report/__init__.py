@@ -1,0 +1,1 @@
+"""Decisions turned into a page for a browser."""

@@ -1,0 +1,1 @@
+"""What happens to clouds between the two: queues, workers, engines."""

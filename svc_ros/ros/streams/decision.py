@@ -1,0 +1,131 @@
+"""The answer to one job, with what its publishers may want to show. No rclpy here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from svc_ros.core.config import Config
+from svc_ros.core.errors import InputError, TransformUnavailableError
+from svc_ros.core.result import RegistrationResult
+from svc_ros.core.scan import Array, PreparedScan, Scan
+from svc_ros.io.clouds.point_cloud2 import scan_from_cloud
+from svc_ros.ros.streams.worker import Cloud, CloudLabel, DropJob, Job, PairJob
+
+# An accepted pose whose method gives no covariance: 1 m and 10 deg, so that no consumer takes it for certain.
+UNKNOWN_COVARIANCE = np.diag([1.0] * 3 + [np.deg2rad(10.0) ** 2] * 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What there is to look at: both scans as they were judged, the pose, and where to draw them.
+
+    points: (N, 3) [m], the source as it is shown when aligned; T_target_source: (4, 4), the judged pose, right or not;
+    T_frame_target: (4, 4), where the target stands in the frame `frame_id` that everything is drawn in.
+    """
+
+    points: Array
+    source: PreparedScan
+    target: PreparedScan
+    T_target_source: Array
+    T_frame_target: Array
+    frame_id: str
+
+
+@dataclass(frozen=True, eq=False)
+class OdometryEstimate:
+    """Where the robot's base stands, or the sensor where there is no base.
+
+    T_odom_base: (4, 4); covariance: (6, 6), order x y z [m] then rotations [rad], left perturbation in the odometry
+    frame; velocity: (6,) [m/s, rad/s] in the base's own frame and its covariance (6, 6), None for the first scan.
+    """
+
+    T_odom_base: Array
+    covariance: Array
+    velocity: Array | None = None
+    velocity_covariance: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """The answer to one job, or one of its answers.
+
+    origin: where the judged pose of a stream came from, empty for pairs; vertices: numbers of source and target in the
+    pose graph, where both are in it.
+    """
+
+    result: RegistrationResult
+    source: CloudLabel | None
+    target: CloudLabel | None
+    timings_ms: dict[str, float] = field(default_factory=dict)
+    look: Look | None = None
+    odometry: OdometryEstimate | None = None
+    origin: str = ""
+    vertices: tuple[int, int] | None = None
+
+
+class Engine(Protocol):
+    """What a mode computes; belongs to the worker's thread, but for what is said to be safe."""
+
+    def process(self, job: Job, config: Config) -> list[Decision]:
+        """The decisions on one job; never raises."""
+        ...
+
+    def warm_up(self, config: Config) -> None:
+        """Import and compile what the first job needs."""
+        ...
+
+    def reset(self) -> None:
+        """Forget everything that earlier jobs left."""
+        ...
+
+    def judge_again(self, config: Config) -> dict[str, Any]:
+        """Judge the pose that was told last once more, as JSON values; InputError where there is none."""
+        ...
+
+    def numbers(self) -> dict[str, Any]:
+        """Counts for the status; safe from any thread."""
+        ...
+
+
+class CloudReader:
+    """Reads clouds into scans. origin_of: where the sensor stood in a frame, (frame, stamp_ns) -> (3,) [m]."""
+
+    def __init__(self, origin_of: Callable[[str, int], Array]) -> None:
+        self._origin_of = origin_of
+
+    def origin(self, cloud: Cloud) -> Array:
+        """Where the sensor stood in the cloud's frame, (3,) [m]; TransformUnavailableError where nobody knows."""
+        return self._origin_of(str(cloud.message.header.frame_id), cloud.stamp_ns)
+
+    def scan(self, cloud: Cloud, origin: Array | None = None) -> Scan:
+        """The cloud as a scan, its sensor at `origin` (3,) where that is known already.
+
+        InputError or TransformUnavailableError says why it is none.
+        """
+        origin = self.origin(cloud) if origin is None else origin
+        return scan_from_cloud(cloud.message, sensor_origin=origin).scan
+
+
+def named_side(side: str, error: InputError | TransformUnavailableError) -> InputError | TransformUnavailableError:
+    """The same error, with the side of the pair that it is about."""
+    return type(error)(f"{side}: {error}")
+
+
+def labels(job: Job) -> tuple[CloudLabel | None, CloudLabel | None]:
+    """Source and target of a job."""
+    if isinstance(job, DropJob):
+        return job.source, job.target
+    if isinstance(job, PairJob):
+        return job.source.label, job.target.label
+    return job.cloud.label, job.cloud.label
+
+
+def received_s(job: Job) -> float | None:
+    """When the last cloud of a job came (steady clock); None for what is dropped."""
+    if isinstance(job, DropJob):
+        return None
+    return max(job.source.received_s, job.target.received_s) if isinstance(job, PairJob) else job.cloud.received_s

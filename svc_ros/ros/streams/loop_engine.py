@@ -1,0 +1,182 @@
+"""Mode `loop_closure`: scans of a stream become loops to earlier places, pairs from outside become judged candidates.
+
+Of the accepted loops between keyframes a pose graph is kept, to be written as a g2o file.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from svc_ros.core.config import Config
+from svc_ros.core.errors import InputError, TransformUnavailableError
+from svc_ros.core.scan import Array, Scan
+from svc_ros.io.g2o import write_g2o
+from svc_ros.pipeline.decide import dropped, refused
+from svc_ros.pipeline.loop_closure import LoopCloser, judge_scans
+from svc_ros.pipeline.pose_graph import build_pose_graph
+from svc_ros.pipeline.stream import StampOrder, StreamDecision, refuse_scan
+from svc_ros.replay.stream import odometry_by_matching
+from svc_ros.ros.streams.decision import CloudReader, Decision, labels, named_side
+from svc_ros.ros.streams.matching_engine import from_stream, judge_stream_again
+from svc_ros.ros.streams.registrar import made_up_scan, warm_up
+from svc_ros.ros.streams.worker import Cloud, DropJob, Job, PairJob, ScanJob
+
+_log = logging.getLogger(__name__)
+OdometryOf = Callable[[Scan], Array | None]
+
+
+class LoopSources(Protocol):
+    """Where a loop closer's inputs come from, besides the clouds."""
+
+    odometry_frame: str
+
+    def origin(self, frame: str, stamp_ns: int) -> Array:
+        """See CloudReader."""
+        ...
+
+    def guess(self, stamp_ns: int) -> Array | None:
+        """The guess (4, 4) for a pair from outside, by the source's stamp."""
+        ...
+
+    def odometry(self, scan: Scan) -> Array | None:
+        """Where odometry says that the scan stands; TransformUnavailableError where it says nothing."""
+        ...
+
+
+class LoopEngine:
+    """Looks for loops; a change of the configuration begins a new set of keyframes.
+
+    own_odometry: take the sensor's own motion (scan matching) instead of what `sources` say; graph_file: where to write
+    the pose graph when it is finished, None for nowhere.
+    """
+
+    def __init__(self, sources: LoopSources, own_odometry: bool, graph_file: Path | None = None) -> None:
+        self._sources, self._own_odometry = sources, own_odometry
+        self._reader, self._order = CloudReader(sources.origin), StampOrder()
+        self._graph_file, self._num_graphs = graph_file, 0
+        self._closer: LoopCloser | None = None
+        self._odometry_of: OdometryOf = sources.odometry
+        self._loops: list[StreamDecision] = []
+        self._last: StreamDecision | None = None
+
+    def process(self, job: Job, config: Config) -> list[Decision]:
+        """One decision for each candidate that was judged; none for a scan without candidates. See Engine."""
+        if isinstance(job, DropJob):
+            return [Decision(dropped(job.reason, job.detail, config.method), job.source, job.target)]
+        start = time.monotonic()
+        if isinstance(job, PairJob):
+            return [self._judge_pair(job, config, start)]
+        found = self._close(job, config)
+        self._last = next((d for d in reversed(found) if d.scans is not None), self._last)
+        self._loops += [_edge_only(d) for d in found if d.result.accepted]
+        decisions = [from_stream(d, job, start, self._sources.odometry_frame, np.eye(4)) for d in found]
+        return [dataclasses.replace(d, vertices=self._vertices(d)) for d in decisions]
+
+    def reset(self) -> None:
+        """Write the pose graph, and forget everything. Raises InputError if the file cannot be written."""
+        try:
+            self.write_graph()
+        finally:
+            self._num_graphs += self._closer is not None and len(self._closer.keyframe_poses) > 0
+            self._closer, self._last = None, None
+            self._loops = []
+            self._order.clear()
+
+    def warm_up(self, config: Config) -> None:
+        """Register, match and look at a small made-up scene."""
+        warm_up(config)
+        scan, closer, own = made_up_scan(config), LoopCloser(config), odometry_by_matching(config)
+        for stamp_ns in (1, 1_000_000_001 + round(1e9 * config.loop_closure.min_gap_s)):
+            stamped = Scan(scan.points, stamp_ns)
+            closer.add(stamped, own(stamped) if self._own_odometry else None)
+
+    def judge_again(self, config: Config) -> dict[str, Any]:
+        """Judge the last candidate's pose once more; see Engine."""
+        return judge_stream_again(self._last, config)
+
+    def numbers(self) -> dict[str, Any]:
+        """Keyframes that are kept, and accepted loops."""
+        closer = self._closer
+        return {"keyframes": closer.num_keyframes if closer is not None else 0, "loops": len(self._loops)}
+
+    def write_graph(self) -> Path | None:
+        """Write keyframes and loops so far; the file, or None where there is nothing to write or no name for it.
+
+        Graphs of later resets get a number of their own. Safe from any thread. Raises InputError.
+        """
+        closer, loops = self._closer, tuple(self._loops)
+        if self._graph_file is None or closer is None:
+            return None
+        keyframes = closer.keyframe_poses
+        if len(keyframes) == 0:
+            return None
+        known = set(keyframes.stamps_ns.tolist())
+        between = [d for d in loops if {d.source_stamp_ns, d.target_stamp_ns} <= known]
+        path = _numbered(self._graph_file, self._num_graphs)
+        write_g2o(path, build_pose_graph(keyframes, between, closer.config.covariance))
+        return path
+
+    def _close(self, job: ScanJob, config: Config) -> list[StreamDecision]:
+        label = job.cloud.label
+        if self._closer is None or config != self._closer.config or self._order.is_jump(label.stamp_ns):
+            self._begin(config)
+        assert self._closer is not None
+        try:
+            scan = self._reader.scan(job.cloud)
+            self._order.lateness(label.stamp_ns)
+            return self._closer.add(scan, self._odometry_of(scan))
+        except Exception as error:
+            return [refuse_scan(label.stamp_ns, label.frame_id, error, config)]
+
+    def _begin(self, config: Config) -> None:
+        try:
+            self.reset()
+        except InputError:
+            _log.exception("keyframes and loops are forgotten unwritten")
+        self._closer = LoopCloser(config)
+        self._odometry_of = odometry_by_matching(config) if self._own_odometry else self._sources.odometry
+
+    def _vertices(self, decision: Decision) -> tuple[int, int] | None:
+        """Numbers of source and target in the pose graph; None for scans that are not in it."""
+        assert self._closer is not None
+        keyframes = self._closer.keyframe_poses.stamps_ns
+        ends = [label.stamp_ns for label in (decision.source, decision.target) if label is not None]
+        if len(ends) != 2 or not np.isin(ends, keyframes).all():
+            return None
+        source, target = np.searchsorted(keyframes, ends).tolist()
+        return source, target
+
+    def _judge_pair(self, job: PairJob, config: Config, start_s: float) -> Decision:
+        """A candidate that somebody else proposes."""
+        came = max(job.source.received_s, job.target.received_s)
+        timings = {"queue_ms": 1e3 * (start_s - came)}
+        try:
+            source, target = self._scan("source", job.source), self._scan("target", job.target)
+            result = judge_scans(source, target, self._sources.guess(job.source.stamp_ns), config)
+        except Exception as error:
+            result = refused(error, config)
+        timings["latency_ms"] = 1e3 * (time.monotonic() - came)
+        return Decision(result, *labels(job), timings, origin="given")
+
+    def _scan(self, side: str, cloud: Cloud) -> Scan:
+        try:
+            return self._reader.scan(cloud)
+        except (InputError, TransformUnavailableError) as error:
+            raise named_side(side, error) from error
+
+
+def _edge_only(loop: StreamDecision) -> StreamDecision:
+    """What the pose graph needs of a loop: of a long day there are many, and evidence is large."""
+    return dataclasses.replace(loop, scans=None, result=dataclasses.replace(loop.result, evidence=None))
+
+
+def _numbered(path: Path, number: int) -> Path:
+    """loops.g2o, loops_2.g2o, loops_3.g2o ..."""
+    return path if number == 0 else path.with_stem(f"{path.stem}_{number + 1}")

@@ -1,0 +1,1 @@
+"""What comes in and goes out: messages, and the plain values that they carry."""

@@ -1,0 +1,152 @@
+"""What comes in: clouds, guesses and odometry by topic. Callbacks pair, keep and pass on; nothing is computed here."""
+
+from __future__ import annotations
+
+import copy
+import functools
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from rclpy.event_handler import QoSMessageLostInfo, QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from sensor_msgs.msg import PointCloud2
+
+from svc_ros.core.errors import InputError
+from svc_ros.io.stamps import ns_from_stamp
+from svc_ros.pipeline.pairing import Event, Matched, Side, StampPairer
+from svc_ros.ros.diagnostics import Statistics
+from svc_ros.ros.parameters import NodeParameters
+from svc_ros.ros.streams.worker import Cloud, DropJob, Job, PairJob, ScanJob
+from svc_ros.ros.topics.conversions import pose_from_message
+from svc_ros.ros.topics.poses import PoseBuffer
+
+_KEPT_GUESSES, _KEPT_ODOMETRY = 16, 1000
+_RELIABLE = QoSProfile(depth=10)
+_ODOMETRY_DEPTH = QoSProfile(depth=100)
+
+CLOUD_INPUTS: dict[str, dict[str, bool]] = {  # of each mode: name, and whether the mode cannot do without it
+    "pair": {"source": True, "target": True},
+    "scan_matching": {"points": True},
+    "loop_closure": {"points": True, "source": False, "target": False},
+}
+
+
+class Inputs:
+    """Subscribes to what the mode needs, and gives each pair, scan or cloud without a partner to `take`.
+
+    `guesses` and `odometry` may be read from any thread. lock: held while clouds are paired and counted, so that an
+    executor with several threads may call everything here; who holds it sees counts that fit each other.
+    """
+
+    def __init__(
+        self, node: Node, parameters: NodeParameters, statistics: Statistics, take: Callable[[Job], None]
+    ) -> None:
+        self._node, self._parameters, self._statistics, self._take = node, parameters, statistics, take
+        self.pairer: StampPairer[Cloud] = StampPairer(parameters.settings.max_skew_ns)
+        self.lock = threading.RLock()
+        self.guesses, self.odometry = PoseBuffer(_KEPT_GUESSES), PoseBuffer(_KEPT_ODOMETRY)
+        self.odometry_child_frame = ""
+        self._last_cloud_s = time.monotonic()
+        self._last_stamp_ns = 0
+        self._subscriptions: list[Any] = []
+        settings = parameters.settings
+        names = CLOUD_INPUTS[settings.mode]
+        for name in names:
+            self._subscribe_clouds(name)
+        if "source" in names:
+            self._subscribe(PoseWithCovarianceStamped, "initial_guess", self._on_guess, _RELIABLE)
+        if settings.mode == "loop_closure" and settings.odometry == "topic":
+            self._subscribe(Odometry, "odom", self._on_odometry, _ODOMETRY_DEPTH)
+
+    def give_up_waiting(self) -> None:
+        """Answer what waits for a partner when clouds have not come for `pair_timeout`; to be called now and then."""
+        timeout = self._parameters.settings.pair_timeout
+        with self.lock:
+            if timeout and self.pairer.num_waiting and time.monotonic() - self._last_cloud_s > timeout:
+                self._take_events(self.pairer.flush())
+
+    def clear(self) -> None:
+        """Forget everything that waits; clouds without a partner get their answer."""
+        with self.lock:
+            self._take_events(self.pairer.clear())
+        self.guesses.clear()
+        self.odometry.clear()
+
+    def is_ahead_of(self, now_ns: int) -> bool:
+        """True if the last cloud is of a time that has not come yet: the clock has jumped back."""
+        return self._last_stamp_ns > now_ns
+
+    def destroy(self) -> None:
+        """Give the subscriptions back."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+
+    def _subscribe_clouds(self, name: str) -> None:
+        if name == "points":
+            self._subscribe(PointCloud2, "points", self._on_scan, qos_profile_sensor_data)
+        else:
+            on_cloud = functools.partial(self._on_cloud, "source" if name == "source" else "target")
+            self._subscribe(PointCloud2, f"{name}_points", on_cloud, qos_profile_sensor_data)
+
+    def _subscribe(self, kind: Any, topic: str, callback: Callable[[Any], None], qos: QoSProfile) -> None:
+        def on_incompatible(info: QoSRequestedIncompatibleQoSInfo) -> None:
+            self._statistics.qos_problems[topic] = f"{info.last_policy_kind} differs from the publisher's"
+            self._node.get_logger().error(f"{topic}: a publisher's QoS does not fit; see qos_overrides./{topic}")
+
+        def on_lost(info: QoSMessageLostInfo) -> None:
+            self._statistics.num_lost[topic] = info.total_count
+
+        subscription = self._node.create_subscription(
+            kind, topic, callback, copy.copy(qos),  # rclpy writes what is overridden into the profile that it is given
+            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=on_incompatible, message_lost=on_lost),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )  # fmt: skip
+        self._subscriptions.append(subscription)
+
+    def _cloud(self, name: str, message: PointCloud2) -> Cloud:
+        now = self._last_cloud_s = time.monotonic()
+        self._statistics.inputs[name].tick(now)
+        stamp_ns = self._last_stamp_ns = ns_from_stamp(message.header.stamp)
+        return Cloud(message, stamp_ns, now)
+
+    def _on_scan(self, message: PointCloud2) -> None:
+        with self.lock:
+            self._take(ScanJob(self._cloud("points", message)))
+
+    def _on_cloud(self, side: Side, message: PointCloud2) -> None:
+        with self.lock:
+            cloud = self._cloud(side, message)
+            self.pairer.max_skew_ns = self._parameters.settings.max_skew_ns
+            add = self.pairer.add_source if side == "source" else self.pairer.add_target
+            self._take_events(add(cloud.stamp_ns, cloud))
+
+    def _on_guess(self, message: PoseWithCovarianceStamped) -> None:
+        self._keep(self.guesses, message)
+
+    def _on_odometry(self, message: Odometry) -> None:
+        self.odometry_child_frame = message.child_frame_id
+        self._keep(self.odometry, message)
+
+    def _keep(self, poses: PoseBuffer, message: PoseWithCovarianceStamped | Odometry) -> None:
+        try:
+            poses.add(ns_from_stamp(message.header.stamp), pose_from_message(message))
+        except InputError as error:
+            self._node.get_logger().warning(str(error), throttle_duration_sec=5.0)
+
+    def _take_events(self, events: list[Event[Cloud]]) -> None:
+        for event in events:
+            self._take(_job_from_event(event))
+
+
+def _job_from_event(event: Event[Cloud]) -> Job:
+    if isinstance(event, Matched):
+        return PairJob(event.source, event.target)
+    label = event.item.label
+    source, target = (label, None) if event.side == "source" else (None, label)
+    return DropJob(source, target, event.reason, event.detail)
