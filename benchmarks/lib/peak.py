@@ -1,4 +1,4 @@
-"""Peak memory of one method in a process of its own: python benchmarks/lib/peak.py METHOD DATASET_FOLDER
+"""Peak memory of one method in a process of its own: python -m lib.peak METHOD DATASET_FOLDER
 
 Prints one line of JSON: megabytes before the method's packages are loaded, and at most.
 """

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from decision_rows import evidence, planted_rows, row, surface, toy_rows
 from mini_data import write_dataset
+from places import BENCHMARKS
 from test_readme import module_from
 
 from svc_ros.core import decision, se3
@@ -22,7 +23,6 @@ from svc_ros.core.result import Verdict
 from svc_ros.core.sight.evidence import SightLines, SightViewEvidence
 from svc_ros.io.datasets import read_dataset
 
-FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
 pytestmark = pytest.mark.usefixtures("scripts")
 ONE, SAME = "os1_64_seosan", "os1_64_yard"  # two sets of one sensor
 CONFIGS = {name: preset("lidar_outdoor") for name in ("a", "b", ONE, SAME)}
@@ -35,7 +35,7 @@ def report(tmp_path_factory) -> tuple[dict, Path]:
     """What the script writes of toy rows of all groups, and where."""
     folder = tmp_path_factory.mktemp("decision")
     with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(FOLDER))
+        patch.syspath_prepend(str(BENCHMARKS))
         import decision as script
         from lib import simulated as _simulated
         from lib import simulated_halls, simulated_sensors
@@ -410,7 +410,7 @@ def test_the_script_compares_fits_and_writes(report):
 
 def test_the_tables_of_the_pages_can_be_made_of_what_the_script_writes(report):
     """All sections are of the keys and names that decision.py writes now, however old the stored run is."""
-    tables = module_from(FOLDER / "tables.py")
+    tables = module_from(BENCHMARKS / "tables.py")
     found, _ = report
     results = {**tables.read_results(tables.RESULTS), "decision": found}
     written = {name: section(results) for name, section in tables.SECTIONS.items()}

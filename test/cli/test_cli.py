@@ -13,34 +13,18 @@ from pathlib import Path
 import mini_data
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from command_line import assert_refused, run
+from places import PROJECT_ROOT
 
 import svc_ros
 from svc_ros.cli.doctor.finding import Finding
-from svc_ros.cli.main import app
 from svc_ros.core.config import PRESETS
 from svc_ros.core.se3 import make_pose, pose_error
 from svc_ros.io.bags import CloudBagWriter
 from svc_ros.io.results import read_jsonl
 
-PROJECT_ROOT = Path(svc_ros.__file__).parent.parent
 START_NS = 1_700_000_000_000_000_000
 PRESET = ("--preset", "lidar_indoor")
-
-
-def run(*arguments: object):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
-
-
-def assert_refused(result, *words: str) -> None:
-    """Exit code 2, nothing on stdout, one line on stderr with all of the words."""
-    assert result.exit_code == 2, result.output
-    assert result.stdout == ""
-    lines = result.stderr.splitlines()
-    assert len(lines) == 1, result.stderr
-    assert lines[0].startswith("error: ")
-    for word in words:
-        assert word in lines[0]
 
 
 @pytest.fixture(scope="module")

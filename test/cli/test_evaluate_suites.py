@@ -12,6 +12,7 @@ import pair_list_folders as lists
 import pytest
 import suite_folders as folders
 from mini_data import POSES, pose_between, scan_room, write_dataset
+from places import PROJECT_ROOT
 from typer.testing import CliRunner
 
 from svc_ros.cli.main import app
@@ -166,7 +167,7 @@ def test_the_page_tells_every_suite_definition_and_key():
     from svc_ros.io import correspondence_files
     from svc_ros.io.suites import SUITES, kitti, kitti_lists, pair_list, threedmatch
 
-    page = (Path(__file__).resolve().parent.parent / "docs" / "benchmarks.md").read_text("utf-8")
+    page = (PROJECT_ROOT / "docs" / "benchmarks.md").read_text("utf-8")
     keys = [key for pair in correspondence_files._KEYS for key in pair]
     criteria = (*kitti.CRITERIA, *threedmatch.CRITERIA, *kitti_lists.LOOP_CRITERIA, *kitti_lists.ROTATED_CRITERIA)
     names = [c.name for c in (*criteria, *kitti_lists.LOW_OVERLAP_CRITERIA)]

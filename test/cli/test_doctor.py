@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from bag_recorder import CLOUD, START, Recorder, S, record
 from cloud_messages import Cloud, Column, Layout, pack, xyz_cloud, xyz_columns
+from places import PROJECT_ROOT
 
 from svc_ros.cli.doctor import installation as doctor
 from svc_ros.cli.doctor.installation import Finding, check_bag, check_installation
@@ -22,7 +23,6 @@ from svc_ros.core.errors import InputError
 from svc_ros.io.config_yaml import write_preset_files
 from svc_ros.simulation import DriveConfig, simulate_drive
 
-PROJECT_ROOT = Path(__file__).resolve().parent.parent
 BALL = np.random.default_rng(1).normal(size=(300, 3)) * 8.0
 NAN_FREE = xyz_cloud(BALL)
 

@@ -8,15 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
+from places import PROJECT_ROOT
 from report_cases import REFUSED, REJECTED, judged, write_run
-from test_cli import run
 
 from svc_ros.io.results import read_jsonl, result_to_json
 from svc_ros.report.report import write_report, write_view
 from svc_ros.report.scenes import make_scene
 from svc_ros.simulation import DriveConfig, simulate_drive
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tools"))
+sys.path.insert(0, str(PROJECT_ROOT / "tools"))
 from chromium import Chromium, find_chromium
 
 pytest.importorskip("websocket", reason="websocket-client not installed: pip install 'svc_ros[test]'")

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-from assertions import assert_same_bits, assert_same_pose
+from assertions import assert_same_bits, assert_same_pose, fingerprint
 from correspondence_cases import T_TRUE, random_case
+from places import PROJECT_ROOT, SUPPORT
 from scan_cases import T_ROOM, prepared, room_config, room_scans
 
 from svc_ros.core import se3
@@ -23,13 +22,6 @@ from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Correspondences, Features, Scan
 
 SOURCE, TARGET = room_scans()
-
-
-def fingerprint(*arrays: np.ndarray) -> str:
-    digest = hashlib.sha256()
-    for array in arrays:
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
 
 
 def numbers_of(result: RegistrationResult) -> dict[str, object]:
@@ -163,7 +155,7 @@ def test_a_point_at_the_sensor_does_no_harm():
 
 PROGRAM = """
 from scan_cases import room_config, room_scans
-from test_registration import fingerprint
+from assertions import fingerprint
 from svc_ros.core.registration import extract_features, register
 features = [extract_features(scan, room_config()) for scan in room_scans()]
 for f in features:
@@ -177,9 +169,8 @@ for method in ("sc2", "svc_paper", "svc"):
 def run_with_threads(num: int) -> str:
     """What a fresh process computes with that many threads in every library that has them."""
     names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-    test_folder = Path(__file__).resolve().parent
     environment = os.environ | dict.fromkeys(names, str(num))
-    environment["PYTHONPATH"] = os.pathsep.join([str(test_folder.parent), str(test_folder)])
+    environment["PYTHONPATH"] = os.pathsep.join([str(PROJECT_ROOT), str(SUPPORT)])
     done = subprocess.run([sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr[-2000:]
     return done.stdout

@@ -9,7 +9,9 @@ import sys
 from pathlib import Path
 from textwrap import dedent
 
-EXAMPLE = Path(__file__).resolve().parent / "example_descriptor"
+from places import TESTS
+
+EXAMPLE = TESTS / "example_descriptor"
 
 
 def write_package(site: Path, module: str, code: str, **offers: str) -> None:

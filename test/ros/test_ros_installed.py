@@ -18,7 +18,7 @@ pytest.importorskip("colcon_core", reason="colcon not installed: pip install 'sv
 pytest.importorskip("colcon_ros", reason="colcon-ros not installed: pip install 'svc_ros[test]'")
 
 from conftest import PROJECT_ROOT
-from test_packaging import NOT_COPIED
+from places import NOT_COPIED
 
 from svc_ros.ros.processes import local_environment, own_domain_id
 

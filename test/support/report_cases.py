@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from functools import lru_cache
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from svc_ros.io.results import result_to_json, write_jsonl
 from svc_ros.io.trajectories import Trajectory, write_tum
 from svc_ros.report.scenes import Scene, make_scene
 
+DATA = re.compile(r'<script id="report-data" type="application/json">(.*?)</script>', re.DOTALL)
 PRESET = "lidar_outdoor"
 START_NS = 1_700_000_000_000_000_000
 REJECTED, REFUSED = 1, 4  # lines of the run: a pose that sight lines contradict, a scan that could not be used
@@ -60,3 +62,8 @@ def way(num: int, step_m: float = 4.0) -> Trajectory:
     poses[:, 0, 3] = step_m * np.arange(num)
     poses[:, 1, 3] = 0.3 * np.arange(num) ** 2
     return Trajectory(START_NS + np.arange(num, dtype=np.int64) * 10**9, poses)
+
+
+def data_of(page: Path) -> dict:
+    (text,) = DATA.findall(page.read_text("utf-8"))
+    return json.loads(text)

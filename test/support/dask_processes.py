@@ -13,7 +13,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
+from places import PROJECT_ROOT, SUPPORT
+
 _PATIENCE_S = 40.0
 
 
@@ -31,7 +32,7 @@ def cluster(folder: Path, num_workers: int = 2, threads: int = 1) -> Iterator[Cl
     processes: list[subprocess.Popen[bytes]] = []
 
     def start(module: str, *options: str) -> subprocess.Popen[bytes]:
-        path = os.pathsep.join([str(HERE), str(HERE.parent), os.environ.get("PYTHONPATH", "")])
+        path = os.pathsep.join([str(SUPPORT), str(PROJECT_ROOT), os.environ.get("PYTHONPATH", "")])
         with (folder / f"{len(processes)}.log").open("wb") as log:
             command = [sys.executable, "-m", f"distributed.cli.{module}", *options]
             environment = {**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "1"}

@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mini_data import write_dataset
+from places import BENCHMARKS
 
 from svc_ros.core.config import with_values
 from svc_ros.core.scan import HypothesisSet
 from svc_ros.io.datasets import read_dataset
 
-FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
 RUN = {
     "date": "today", "commit": "abc", "uncommitted": [], "machine": {}, "packages": {}, "config": {"lidar_indoor": {}},
 }  # fmt: skip
@@ -43,10 +43,10 @@ def data(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def room(data):
-    sys.path.insert(0, str(FOLDER))
+    sys.path.insert(0, str(BENCHMARKS))
     from lib import cases
 
-    sys.path.remove(str(FOLDER))
+    sys.path.remove(str(BENCHMARKS))
     return cases.read_case(read_dataset(data / "room"))
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import base64
-import json
 import re
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from report_cases import REFUSED, REJECTED, START_NS, judged, way, write_run
+from places import PROJECT_ROOT
+from report_cases import DATA, REFUSED, REJECTED, START_NS, data_of, judged, way, write_run
 
 from svc_ros.core import se3
 from svc_ros.core.config import preset, with_values
@@ -24,13 +24,6 @@ from svc_ros.report.data import Run, choose_drawn, read_run, verdict_of, verdict
 from svc_ros.report.plots import decision_border, map_from_above, stage_times
 from svc_ros.report.report import write_report, write_view
 from svc_ros.report.scenes import make_scene
-
-DATA = re.compile(r'<script id="report-data" type="application/json">(.*?)</script>', re.DOTALL)
-
-
-def data_of(page: Path) -> dict:
-    (text,) = DATA.findall(page.read_text("utf-8"))
-    return json.loads(text)
 
 
 @pytest.fixture(scope="module")
@@ -330,5 +323,5 @@ def test_a_view_holds_its_one_pair(tmp_path):
 
 @pytest.mark.parametrize("name", ["report", "report_dark", "report_phone"])
 def test_pictures_of_a_report_are_small(name):
-    picture = Path(__file__).resolve().parent.parent / "docs" / "images" / f"{name}.png"
+    picture = PROJECT_ROOT / "docs" / "images" / f"{name}.png"
     assert 20_000 < picture.stat().st_size < 400_000

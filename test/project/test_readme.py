@@ -13,13 +13,13 @@ from pathlib import Path
 
 import pytest
 import yaml
+from places import PROJECT_ROOT
 
 from svc_ros.core.config import METHODS, PRESETS, preset, walk
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.io.datasets import read_dataset
 from svc_ros.io.results import result_to_json
 
-PROJECT_ROOT = Path(__file__).resolve().parent.parent
 README = (PROJECT_ROOT / "README.md").read_text(encoding="utf-8")
 COMMANDS = ("register", "verify", "view", "evaluate", "calibrate", "replay", "simulate", "config", "doctor")
 MAX_PICTURE_BYTES = 400_000

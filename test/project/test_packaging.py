@@ -17,17 +17,14 @@ import pytest
 import setuptools
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from places import NOT_COPIED, PROJECT_ROOT
 from test_architecture import ROS_MODULES, imported_names
 
 import svc_ros
 
-PROJECT_ROOT = Path(__file__).resolve().parent.parent
 MINORS = ("3.10", "3.11", "3.12", "3.13")
 DISTRIBUTIONS = {"yaml": {"pyyaml"}, "open3d": {"open3d", "open3d-cpu"}, "mpl_toolkits": {"matplotlib"}}
 ROS_PACKAGES = {"tf2_ros": "tf2_ros_py"}
-NOT_COPIED = shutil.ignore_patterns(
-    ".git", ".venv", "out", "build", "install", "log", "dist", "*_cache", "__pycache__", "*.egg-info", ".hypothesis"
-)
 SCRIPTS = {"svc_ros", "registration_node", "bag_player"}
 
 

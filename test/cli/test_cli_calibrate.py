@@ -10,7 +10,7 @@ import mini_data
 import numpy as np
 import pytest
 import replay_cases
-from test_cli import assert_refused, run
+from command_line import assert_refused, run
 
 from svc_ros.core.config import preset, with_values
 from svc_ros.evaluation.bag_pairs import SPACINGS, BagSource, choose_pairs, dataset_of_bag

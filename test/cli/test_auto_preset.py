@@ -9,7 +9,8 @@ from pathlib import Path
 import mini_data
 import numpy as np
 import pytest
-from test_cli import assert_refused, bag, run, scans  # noqa: F401
+from command_line import assert_refused, run
+from test_cli import bag, scans  # noqa: F401
 
 from svc_ros import choose_preset, preset
 from svc_ros.core.auto_preset import CAMERA_REACH_M, INDOOR_REACH_M, look_out

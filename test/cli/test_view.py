@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import assert_refused, run
+from report_cases import data_of
 from synthetic import street_pair
-from test_cli import assert_refused, run
-from test_report import data_of
 
 from svc_ros.core.config import preset, with_values
 from svc_ros.core.errors import InputError

@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from places import PROJECT_ROOT
 
 from svc_ros.core.config import PRESETS, Config, walk
 from svc_ros.io.config_yaml import read_config, read_config_file, write_preset_files
 
-FOLDER = Path(__file__).resolve().parent.parent / "config"
+FOLDER = PROJECT_ROOT / "config"
 REGENERATE = "regenerate: python -c \"from svc_ros.io.config_yaml import write_preset_files as w; w('config')\""
 
 
