@@ -51,7 +51,7 @@ WEIGHTS = {  # of DecisionConfig -> the number that it weighs
     "wide_denied_weight": "- log of the same, clusters of denied surface counting by the angle they are seen over",
     "structure_weight": "+ log of the weakest constraint: how much the agreeing surfaces resist a shift",
 }
-TIMES = {  # README -> where latest.json has it
+TIMES = {  # as the page names it -> where latest.json has it
     "`register`": ("register",),
     "`register`, target described before": ("register", "reused"),
     "`verify`, both scans prepared": ("verify",),
@@ -62,7 +62,7 @@ Report = Mapping[str, Any]
 
 
 def rules_table(results: Report) -> str:
-    """README: every rule on the recorded sets, and on all."""
+    """Every rule on the recorded sets, and on all."""
     recorded, both = results["decision"]["decision"][RECORDED], results["decision"]["decision"][ALL]
     head = ("rule", "F1", "false accepts", "AUC", "F1, simulated too", "false accepts, simulated too")
     rows = [
@@ -73,7 +73,7 @@ def rules_table(results: Report) -> str:
 
 
 def left_out_table(results: Report) -> str:
-    """README: each sensor by weights that were fitted without it, and by the published rule."""
+    """Each sensor by weights that were fitted without it, and by the published rule."""
     tables, rows = results["decision"]["decision"], []
     errors = results["decision"]["calibration"]["expected_calibration_error"]
     for name in results["decision"]["weights"]["leave_one_sensor_out"]:
@@ -204,7 +204,7 @@ def pose_counts(results: Report) -> str:
 
 
 def times_table(results: Report) -> str:
-    """README: from raw points to the answer, beside other programs."""
+    """From raw points to the answer, beside other programs."""
     rows = []
     for told, (method, *variant) in TIMES.items():
         found = results["latest"][method]

@@ -6,8 +6,7 @@ import os
 from pathlib import Path
 
 import pytest
-
-PROJECT_ROOT = Path(__file__).resolve().parent.parent
+from places import PROJECT_ROOT
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""Every reason of a decision in words: what it means and what to do about it. README.md prints the same table."""
+"""Every reason of a decision in words: what it means and what to do about it. docs/reference.md has the same table."""
 
 from __future__ import annotations
 

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from decision_rows import evidence, planted_rows, row, surface, toy_rows
 from mini_data import write_dataset
+from pages import module_from
 from places import BENCHMARKS
-from test_readme import module_from
 
 from svc_ros.core import decision, se3
 from svc_ros.core.config import preset

@@ -9,7 +9,7 @@ import re
 import numpy as np
 import pytest
 from conftest import PROJECT_ROOT
-from test_readme import module_from
+from pages import module_from
 
 from svc_ros.core.sight.seen_surface import look_through
 

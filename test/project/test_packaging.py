@@ -187,7 +187,7 @@ class TestInstallation:
         assert (prefix / "share/svc_ros/package.xml").is_file()
         assert any((prefix / "share/svc_ros/launch").glob("*.launch.py"))
         assert (prefix / "share/svc_ros/config/lidar_outdoor.yaml").is_file()
-        tested = run(*colcon, "test", "--pytest-args", "test/test_pairing.py", cwd=tmp_path, env=environment)
+        tested = run(*colcon, "test", "--pytest-args", "test/pipeline/test_pairing.py", cwd=tmp_path, env=environment)
         assert tested.returncode == 0, tested.stdout + tested.stderr
         result = run(*colcon, "test-result", "--all", cwd=tmp_path, env=environment)
         summary = re.search(r"(\d+) tests?, (\d+) errors?, (\d+) failures?", result.stdout)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from conftest import PROJECT_ROOT
+from places import PROJECT_ROOT
 
 PAGE = (PROJECT_ROOT / "docs" / "tutorial.md").read_text("utf-8")
 BLOCK = re.compile(r"^```(sh|text)( terminal \d)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -152,8 +152,3 @@ def test_differences_are_found() -> None:
 def test_every_block_with_a_command_is_run_or_is_for_the_reader() -> None:
     others = re.findall(r"^```\n(.*?)^```$", BLOCK.sub("", PAGE), re.MULTILINE | re.DOTALL)
     assert [text.splitlines()[0] for text in others] == [". .venv/bin/activate", "svc_ros doctor BAG"]
-
-
-def test_links_lead_somewhere() -> None:
-    for target in re.findall(r"\]\(([^)#]+)", PAGE):
-        assert (PROJECT_ROOT / "docs" / target).is_file(), target

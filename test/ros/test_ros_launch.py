@@ -12,7 +12,7 @@ import pytest
 import yaml
 from conftest import PROJECT_ROOT
 from launch_stand_ins import DeclareLaunchArgument, ExecuteProcess, IncludeLaunchDescription, load, load_real, started
-from test_readme import absolute, node_defaults, rows
+from pages import absolute, node_defaults, rows
 
 from svc_ros.core.config import AUTO, METHODS, PRESETS, preset, walk
 

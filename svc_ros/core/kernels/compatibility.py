@@ -1,4 +1,4 @@
-"""Hot loops on plain arrays, compiled by numba; no GIL, no state. Each has a slow twin in test/reference.py."""
+"""Hot loops on plain arrays, compiled by numba; no GIL, no state. Each has a slow twin in test/support/reference.py."""
 
 from __future__ import annotations
 

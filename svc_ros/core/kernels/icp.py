@@ -1,4 +1,4 @@
-"""Point-to-plane ICP (Levenberg-Marquardt), compiled by numba; no GIL, no state. Twin in test/reference.py."""
+"""Point-to-plane ICP (Levenberg-Marquardt), compiled by numba; no GIL, no state. Twin in test/support/reference.py."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 Cells no smaller than the radius stand in columns along z. Every column holds the points of the columns around it too,
 so that a query reads one run of memory; LANES points lie side by side, so that they are compared at once. Twins in
-test/reference.py.
+test/support/reference.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Hot loops that sort points into cells for the search of all neighbours, compiled by numba; no GIL, no state.
 
 Cells stand in columns along z. The points of three cells above each other follow one another in memory, so that the
-surroundings of a point are at most nine short runs. Twins in test/reference.py.
+surroundings of a point are at most nine short runs. Twins in test/support/reference.py.
 """
 
 from __future__ import annotations

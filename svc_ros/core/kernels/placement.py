@@ -1,4 +1,4 @@
-"""Hot loops over a placed scan, compiled by numba; no GIL, no state. Twins in test/reference.py.
+"""Hot loops over a placed scan, compiled by numba; no GIL, no state. Twins in test/support/reference.py.
 
 Points are placed a few at a time: what is known of them is used before it leaves the processor's cache.
 """

@@ -1,4 +1,4 @@
-"""The hot loop of the cheap look at many poses; no GIL, no state. Twin in test/reference.py."""
+"""The hot loop of the cheap look at many poses; no GIL, no state. Twin in test/support/reference.py."""
 
 from __future__ import annotations
 

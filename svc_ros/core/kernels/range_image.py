@@ -1,4 +1,4 @@
-"""Hot loops of range images, compiled by numba; no GIL, no state. Twins in test/reference_images.py.
+"""Hot loops of range images, compiled by numba; no GIL, no state. Twins in test/support/reference_images.py.
 
 A direction's cell is looked up in two tables instead of by arc tangent and arc sine: the same for the points that fill
 an image and for those that are held against it, so that both agree on every border.

@@ -1,4 +1,4 @@
-"""Hot loops of the sight-line check, compiled by numba; no GIL, no state. Twins in test/reference.py."""
+"""Hot loops of the sight-line check, compiled by numba; no GIL, no state. Twins in test/support/reference.py."""
 
 from __future__ import annotations
 

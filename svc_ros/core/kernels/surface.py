@@ -1,7 +1,7 @@
 """Hot loops over the surroundings of every point of a scan, compiled by numba; no GIL, no state.
 
 Points come sorted as in a RadiusGrid and are spoken of by their place in it; grid: shape, points, column_low,
-column_first and starts of one. Twins in test/reference.py.
+column_first and starts of one. Twins in test/support/reference.py.
 """
 
 from __future__ import annotations

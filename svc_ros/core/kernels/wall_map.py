@@ -1,4 +1,4 @@
-"""Hot loops of maps of walls, compiled by numba; no GIL, no state. Twins in test/reference_wall_maps.py.
+"""Hot loops of maps of walls, compiled by numba; no GIL, no state. Twins in test/support/reference_wall_maps.py.
 
 Maps are square and go around: what leaves on one side comes in on the other.
 """
