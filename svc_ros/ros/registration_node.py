@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
 
 from svc_ros.core.errors import SvcError
 from svc_ros.ros.parameters import NodeParameters
+from svc_ros.ros.safe_events import SafeEventCallbacks
 from svc_ros.ros.session import Session
 
 NODE_NAME = "svc_registration"
@@ -32,8 +37,23 @@ class RegistrationNode(LifecycleNode):
         self._failure: Exception | None = None
         for text in self._svc.unknown_overrides():
             self.get_logger().warning(text)
+        # Steady clocks: a timer on simulated time stops when the bag is paused. For good, not for a session: an
+        # executor with several threads may still look at a timer that another thread destroys.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1.0, self._tell, clock=steady)
+        self.create_timer(0.25, self._give_up_waiting, clock=steady)
         if self._svc.settings.autostart:
             self._start()
+
+    def create_publisher(self, *args: Any, **options: Any) -> Publisher:
+        """As rclpy's; it may be destroyed while an executor with several threads spins."""
+        callbacks = options.pop("event_callbacks", None) or PublisherEventCallbacks()
+        return super().create_publisher(*args, event_callbacks=SafeEventCallbacks(callbacks), **options)
+
+    def create_subscription(self, *args: Any, **options: Any) -> Subscription:
+        """As rclpy's; it may be destroyed while an executor with several threads spins."""
+        callbacks = options.pop("event_callbacks", None) or SubscriptionEventCallbacks()
+        return super().create_subscription(*args, event_callbacks=SafeEventCallbacks(callbacks), **options)
 
     def stop(self, timeout_s: float) -> bool:
         """End the worker after its current job; False if it was still computing when the time was over."""
@@ -85,6 +105,14 @@ class RegistrationNode(LifecycleNode):
         if self.trigger_configure() != _SUCCESS:
             raise self._failure or SvcError("the node cannot be configured")
         self.trigger_activate()
+
+    def _tell(self) -> None:
+        if (session := self._session) is not None:
+            session.tell()
+
+    def _give_up_waiting(self) -> None:
+        if (session := self._session) is not None:
+            session.inputs.give_up_waiting()
 
     def _end(self) -> None:
         if self._session is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import time
 from pathlib import Path
@@ -10,8 +11,9 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
+from rclpy.clock import JumpThreshold, TimeJump
 from rclpy.duration import Duration
+from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -61,12 +63,6 @@ class Session:
         self.inputs = Inputs(node, parameters, self.statistics, self._take)
         self.services = Services(node, parameters, self)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        # Steady clocks: a timer on simulated time stops when the bag is paused.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timers = [
-            node.create_timer(1.0, self._tell, clock=steady),
-            node.create_timer(0.25, self.inputs.give_up_waiting, clock=steady),
-        ]
         node.add_on_set_parameters_callback(self._check_change)
         self._jumps = node.get_clock().create_jump_callback(_JUMP, post_callback=self._on_clock_jump)
         sys.setswitchinterval(min(_SWITCH_S, sys.getswitchinterval()))
@@ -92,11 +88,19 @@ class Session:
         """Give everything back to the node; `stop` comes first."""
         self._node.remove_on_set_parameters_callback(self._check_change)
         self._jumps.unregister()
-        for timer in self._timers:
-            self._node.destroy_timer(timer)
         for part in (self.inputs, self.services, self.outputs, self.frames):
             part.destroy()
         self._node.destroy_publisher(self._diagnostics)
+
+    def tell(self) -> None:
+        """Publish diagnostics and the way so far; nothing if the session ends meanwhile on another thread."""
+        settings = self._parameters.settings
+        with self.inputs.lock:
+            message = DiagnosticArray(status=statuses(self.statistics, self.flow(), settings.process_every))
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        with contextlib.suppress(InvalidHandle):
+            self._diagnostics.publish(message)
+            self.outputs.publish_path(settings)
 
     def deactivate(self, detail: str) -> None:
         """Give up what waits to be computed; what is computed now gets its decision."""
@@ -162,14 +166,6 @@ class Session:
             except MissingDependencyError as error:
                 return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
-
-    def _tell(self) -> None:
-        settings = self._parameters.settings
-        with self.inputs.lock:
-            message = DiagnosticArray(status=statuses(self.statistics, self.flow(), settings.process_every))
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        self._diagnostics.publish(message)
-        self.outputs.publish_path(settings)
 
     def _on_clock_jump(self, _jump: TimeJump) -> None:
         """Simulated time went back. Clouds that came since then already are of the new time: those stay."""
