@@ -66,6 +66,7 @@ setup(
     extras_require={
         "test": [
             "pytest>=8",
+            "pytest-xdist>=3.5",
             "hypothesis>=6.100",
             "packaging>=23",
             "mcap>=1.2",
