@@ -149,7 +149,7 @@ def test_make_targets_exist():
 def test_launch_arguments_exist():
     launch = (PROJECT_ROOT / "launch/registration.launch.py").read_text(encoding="utf-8")
     named = {name for line in code(PROSE) if line.startswith("ros2 launch") for name in re.findall(r"(\w+):=", line)}
-    declared = {*re.findall(r'^    "(\w+)": \("', launch, re.MULTILINE), "bag"}
+    declared = {*re.findall(r'^    "(\w+)": (?:\("|MODE,)', launch, re.MULTILINE), "bag"}
     assert {"preset", "source", "target", "bag", "mode", "rviz"} <= named <= declared
 
 

@@ -17,11 +17,11 @@ import numpy as np
 from svc_ros.core.errors import InputError
 from svc_ros.core.result import RegistrationResult
 from svc_ros.io.bag_writers import checked_stamp, distinct_frames
+from svc_ros.io.config_yaml import NODE_NAME
 from svc_ros.io.mcap_folder import CLOUD_TYPE, POSE_TYPE, TRANSFORM_TYPE, McapFolder
 from svc_ros.io.pictures import MARKERS_TYPE, Picture, marker_array
 from svc_ros.io.results import decision_values
 
-NODE_NAME = "svc_registration"
 RESULT_TOPICS = {
     "transform": TRANSFORM_TYPE,
     "pose": POSE_TYPE,

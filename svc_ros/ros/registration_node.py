@@ -7,10 +7,10 @@ from typing import Any
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from svc_ros.core.errors import SvcError
+from svc_ros.io.config_yaml import NODE_NAME
 from svc_ros.ros.parameters import NodeParameters
 from svc_ros.ros.session import Session
 
-NODE_NAME = "svc_registration"
 _CLEANUP_S, _FORGOTTEN_S = 60.0, 5.0  # longer than any one job takes, and than most
 
 _SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
