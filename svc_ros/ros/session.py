@@ -1,9 +1,10 @@
-"""Everything that exists while the node is configured: inputs, the worker with its engine, outputs, services."""
+"""Everything that exists while the node is configured: inputs, the worker with its engine, outputs."""
 
 from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,6 @@ from svc_ros.ros.matching_engine import MatchingEngine
 from svc_ros.ros.outputs import Outputs
 from svc_ros.ros.parameters import NodeParameters, NodeSettings
 from svc_ros.ros.registrar import PairRegistrar
-from svc_ros.ros.services import Services
 from svc_ros.ros.worker import DropJob, Job, Worker
 
 # How soon Python asks the thread that computes to let the executor in. With its own 5 ms, a thread that lets go of the
@@ -59,7 +59,6 @@ class Session:
         self._first_choice = FirstChoice(parameters, _Sources(self).origin, node.get_logger().info)
         self.worker = Worker(self._process, self._warm_up)
         self.inputs = Inputs(node, parameters, self.statistics, self._take)
-        self.services = Services(node, parameters, self)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Steady clocks: a timer on simulated time stops when the bag is paused.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -81,11 +80,10 @@ class Session:
         self.inputs.clear()
         is_done = self.worker.stop(timeout_s)
         self.outputs.finish(_FINISH_S)
-        if isinstance(self.engine, LoopEngine):
-            try:
-                self.engine.write_graph()
-            except InputError as error:
-                self._node.get_logger().error(str(error))
+        try:
+            self.write_graph()
+        except InputError as error:
+            self._node.get_logger().error(str(error))
         return is_done
 
     def destroy(self) -> None:
@@ -94,9 +92,35 @@ class Session:
         self._jumps.unregister()
         for timer in self._timers:
             self._node.destroy_timer(timer)
-        for part in (self.inputs, self.services, self.outputs, self.frames):
+        for part in (self.inputs, self.outputs, self.frames):
             part.destroy()
         self._node.destroy_publisher(self._diagnostics)
+
+    @property
+    def has_graph(self) -> bool:
+        """Whether the mode keeps a pose graph."""
+        return isinstance(self.engine, LoopEngine)
+
+    def status(self) -> dict[str, Any]:
+        """What the node is set to do, and all that it counts: one moment's snapshot."""
+        parameters = self._parameters
+        with self.inputs.lock:
+            return {
+                "mode": parameters.settings.mode,
+                "preset": parameters.preset_name,
+                **({} if parameters.choice is None else {"chosen": dict(parameters.choice.summary())}),
+                "method": parameters.config.method,
+                "received": {name: monitor.num_received for name, monitor in self.statistics.inputs.items()},
+                "lost": dict(self.statistics.num_lost),
+                **self.flow(),
+                **self.statistics.numbers(),
+            }
+
+    def enable(self, wanted: bool) -> None:
+        """Take new work again, or give up what waits and drop what comes."""
+        self.is_enabled = wanted
+        if not wanted:
+            self.deactivate("the node was disabled")
 
     def deactivate(self, detail: str) -> None:
         """Give up what waits to be computed; what is computed now gets its decision."""
@@ -106,6 +130,10 @@ class Session:
         """Empty pairing, queue, guesses and odometry; what waited is `stale`."""
         self.inputs.clear()
         self.worker.jobs.give_up(Reason.STALE, detail)
+
+    def call_on_worker(self, call: Callable[[], None]) -> None:
+        """Let the worker call, between two jobs."""
+        self.worker.jobs.call_next(call)
 
     def flow(self) -> dict[str, Any]:
         """Counters of pairing and worker, for status and diagnostics."""
@@ -176,9 +204,21 @@ class Session:
         if self.inputs.is_ahead_of(self._node.get_clock().now().nanoseconds):
             self.forget_inputs("the clock jumped back")
             self.frames.clear()
-            self.worker.jobs.call_next(self.engine.reset)
+            self.call_on_worker(self.reset_engine)
 
     # on the worker's thread
+
+    def reset_engine(self) -> None:
+        """Forget everything computed. Raises InputError where what is to be kept of it cannot be written."""
+        self.engine.reset()
+
+    def judge_again(self) -> dict[str, Any]:
+        """Judge the last pose once more, for a service; see Engine."""
+        return self.engine.judge_again(self._parameters.config)
+
+    def write_graph(self) -> Path | None:
+        """Write the pose graph, if the mode keeps one; safe from any thread. See LoopEngine."""
+        return self.engine.write_graph() if isinstance(self.engine, LoopEngine) else None
 
     def _warm_up(self) -> None:
         start, logger = time.monotonic(), self._node.get_logger()
