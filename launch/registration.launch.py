@@ -5,14 +5,12 @@
 
 from pathlib import Path
 
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
-from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from launch import LaunchDescription
+from svc_ros.ros.launch_arguments import MODE, MODES, NODE_NAME, describe, given_values
 
 ARGUMENTS = {
-    "mode": ("pair", "what the node does: pair, scan_matching or loop_closure"),
+    "mode": MODE,
     "preset": ("lidar_outdoor", "defaults of all parameters: lidar_outdoor, lidar_indoor, rgbd_indoor or auto"),
     "method": ("svc", "how a pose is chosen and judged: svc, svc_paper or sc2"),
     "params_file": ("", "YAML file of parameters; what it sets has precedence over all arguments; '' for none"),
@@ -36,7 +34,7 @@ ARGUMENTS = {
 }
 SWITCH = ["true", "false"]
 CHOICES = {
-    "mode": ["pair", "scan_matching", "loop_closure"],
+    "mode": MODES,
     "preset": ["lidar_outdoor", "lidar_indoor", "rgbd_indoor", "auto"],
     "method": ["svc", "svc_paper", "sc2"],
     "odometry": ["own", "topic", "tf"],
@@ -52,20 +50,16 @@ RVIZ_CONFIG = Path(__file__).parent.parent / "config" / "svc_ros.rviz"
 
 def generate_launch_description():
     """The node and, if asked for, RViz."""
-    arguments = [
-        DeclareLaunchArgument(name, default_value=default, description=text, choices=CHOICES.get(name))
-        for name, (default, text) in ARGUMENTS.items()
-    ]
-    return LaunchDescription([*arguments, OpaqueFunction(function=start)])
+    return describe(ARGUMENTS, CHOICES, start)
 
 
 def start(context):
     """What the arguments ask for, whose values are known by now."""
-    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    given = given_values(context, ARGUMENTS)
     node = Node(
         package="svc_ros",
         executable="registration_node",
-        name="svc_registration",
+        name=NODE_NAME,
         namespace=given["namespace"],
         parameters=[parameters(given), *([given["params_file"]] if given["params_file"] else [])],
         remappings=[*((topic, given[name]) for topic, name in INPUTS.items()), *((n, given[n]) for n in OTHER_INPUTS)],
@@ -91,7 +85,7 @@ def full_name(topic, namespace):
 
 def rviz(given):
     """RViz with the package's configuration; its absolute names are turned into those of this node."""
-    own = [(f"/svc_registration/{name}", f"svc_registration/{name}") for name in SHOWN]
+    own = [(f"/{NODE_NAME}/{name}", f"{NODE_NAME}/{name}") for name in SHOWN]
     return Node(
         package="rviz2",
         executable="rviz2",

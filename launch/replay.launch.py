@@ -5,22 +5,22 @@ The arguments of registration.launch.py may be given as well. Everything stays u
 
 from pathlib import Path
 
-from launch.actions import DeclareLaunchArgument, ExecuteProcess, IncludeLaunchDescription, OpaqueFunction
+from launch.actions import ExecuteProcess, IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from launch import LaunchDescription
+from svc_ros.ros.launch_arguments import MODE, MODES, NODE_NAME, describe, given_values
 
 ARGUMENTS = {
     "bag": (None, "the bag"),
-    "mode": ("pair", "what the node does: pair, scan_matching or loop_closure"),
+    "mode": MODE,
     "player": ("svc_ros", "svc_ros: bag_player sends clouds, nothing is lost; ros2: `ros2 bag play` sends every topic"),
     "topic": ("", "topic of the clouds in the bag; '' for the only one (player svc_ros)"),
     "rate": ("1.0", "player svc_ros: pairs or scans a second, 0 for no limit; player ros2: factor on the speed"),
     "stride": ("1", "player svc_ros, mode pair: scan k + stride is registered to scan k"),
 }
-CHOICES = {"mode": ["pair", "scan_matching", "loop_closure"], "player": ["svc_ros", "ros2"]}
+CHOICES = {"mode": MODES, "player": ["svc_ros", "ros2"]}
 # The player's own topics; absolute, so that a namespace of the node does not matter.
 TOPICS = {"source": "/source_points", "target": "/target_points", "points": "/points"}
 WAIT_S = "120"  # the node's first start compiles
@@ -28,22 +28,18 @@ WAIT_S = "120"  # the node's first start compiles
 
 def generate_launch_description():
     """The node, and a player for it."""
-    arguments = [
-        DeclareLaunchArgument(name, default_value=default, description=text, choices=CHOICES.get(name))
-        for name, (default, text) in ARGUMENTS.items()
-    ]
-    return LaunchDescription([*arguments, OpaqueFunction(function=start)])
+    return describe(ARGUMENTS, CHOICES, start)
 
 
 def start(context):
     """What the arguments ask for, whose values are known by now."""
-    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    given = given_values(context, ARGUMENTS)
     source = PythonLaunchDescriptionSource(str(Path(__file__).parent / "registration.launch.py"))
     node = IncludeLaunchDescription(source, launch_arguments=node_arguments(given).items())
     if given["player"] == "ros2":
         return [node, ExecuteProcess(cmd=ros2_command(given), output="screen")]
     namespace = LaunchConfiguration("namespace", default="").perform(context).strip("/")
-    words = player_words(given, f"/{namespace}/svc_registration" if namespace else "/svc_registration")
+    words = player_words(given, f"/{namespace}/{NODE_NAME}" if namespace else f"/{NODE_NAME}")
     return [node, Node(package="svc_ros", executable="bag_player", arguments=words, output="screen")]
 
 

@@ -25,18 +25,22 @@ from svc_ros.cli.console import (
     working,
     write_json,
 )
-from svc_ros.cli.evaluate import FIRST_SCANS, LimitOption, WorkersOption, choose_for
+from svc_ros.cli.evaluate import FIRST_SCANS, choose_for
 from svc_ros.cli.options import (
     DEFAULT_PRESET,
     ConfigOption,
     JsonOption,
+    LimitOption,
     MethodOption,
     PresetOption,
+    ReferenceFrameOption,
+    SensorOption,
     Settings,
+    TopicOption,
+    WorkersOption,
     choose_from,
     read_wanted,
 )
-from svc_ros.cli.replay import ReferenceFrameOption, SensorOption, TopicOption
 from svc_ros.core.errors import InputError, MissingDependencyError
 
 if TYPE_CHECKING:

@@ -15,10 +15,12 @@ from svc_ros.cli.console import check_json_target, key_value_table, progress, su
 from svc_ros.cli.options import (
     ConfigOption,
     JsonOption,
+    LimitOption,
     MethodOption,
     PresetOption,
     SchedulerOption,
     Settings,
+    WorkersOption,
     choose_from,
     read_wanted,
 )
@@ -51,8 +53,6 @@ RefinedOption = Annotated[
     Path | None,
     typer.Option("--refined", metavar="DIR", help="Where kitti and mulran keep refined references (DIR/icp)."),
 ]
-LimitOption = Annotated[int | None, typer.Option("--limit", min=1, metavar="N", help="First N of each kind only.")]
-WorkersOption = Annotated[int, typer.Option("--workers", min=1, metavar="N", help="Processes that share the pairs.")]
 
 
 def evaluate(

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 DEFAULT_PRESET = AUTO
 
+SourceArgument = Annotated[Path, typer.Argument(metavar="SOURCE", help="Scan to move (.bin .pcd .ply .npy .npz .las).")]
+TargetArgument = Annotated[Path, typer.Argument(metavar="TARGET", help="Scan that stays; the pose is in its frame.")]
 PresetOption = Annotated[
     str | None, typer.Option("--preset", metavar="NAME", help=f"{AUTO} (chosen from the scans), {', '.join(PRESETS)}.")
 ]
@@ -32,9 +34,23 @@ ConfigOption = Annotated[
 JsonOption = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - writes it to stdout, alone.")
 ]
+FailOption = Annotated[
+    bool, typer.Option("--fail-on-reject", help="Exit with 3 where the pose is not accepted.", show_default=False)
+]
+LimitOption = Annotated[int | None, typer.Option("--limit", min=1, metavar="N", help="First N of each kind only.")]
+WorkersOption = Annotated[int, typer.Option("--workers", min=1, metavar="N", help="Processes that share the pairs.")]
 SchedulerOption = Annotated[
     str | None,
     typer.Option("--scheduler", metavar="ADDRESS", help="Spread by Dask: local, or a scheduler's tcp://host:port."),
+]
+TopicOption = Annotated[str | None, typer.Option("--topic", metavar="TOPIC", help="Needed where several have clouds.")]
+SensorOption = Annotated[
+    str | None,
+    typer.Option("--sensor-frame", metavar="FRAME", help="Sensor's frame, where the clouds are in another one."),
+]
+ReferenceFrameOption = Annotated[
+    str | None,
+    typer.Option("--reference-frame", metavar="FRAME", help="Whose poses these are; the clouds' frame by default."),
 ]
 
 

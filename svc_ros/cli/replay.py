@@ -10,7 +10,16 @@ import typer
 
 from svc_ros.cli.console import make_output_folder, note, progress
 from svc_ros.cli.exit_codes import INTERRUPTED
-from svc_ros.cli.options import ConfigOption, MethodOption, PresetOption, SchedulerOption, read_wanted
+from svc_ros.cli.options import (
+    ConfigOption,
+    MethodOption,
+    PresetOption,
+    ReferenceFrameOption,
+    SchedulerOption,
+    SensorOption,
+    TopicOption,
+    read_wanted,
+)
 from svc_ros.cli.replay_console import print_summary, replay_progress, stop_request
 from svc_ros.core.errors import InputError
 
@@ -25,7 +34,6 @@ BagArgument = Annotated[
 OutOption = Annotated[
     Path, typer.Option("--out", metavar="DIR", help="Folder for all outputs; with several bags one below it for each.")
 ]
-TopicOption = Annotated[str | None, typer.Option("--topic", metavar="TOPIC", help="Needed where several have clouds.")]
 ModeOption = Annotated[
     str,
     typer.Option("--mode", metavar="MODE", help="pair: scan k + stride against scan k; scan_matching; loop_closure."),
@@ -49,20 +57,12 @@ ResumeOption = Annotated[
 ]
 InputOption = Annotated[bool, typer.Option("--with-input", help="Copy clouds and transforms into results.mcap.")]
 ReportOption = Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")]
-SensorOption = Annotated[
-    str | None,
-    typer.Option("--sensor-frame", metavar="FRAME", help="Sensor's frame, where the clouds are in another one."),
-]
 OdometryOption = Annotated[
     str | None,
     typer.Option("--odometry-frame", metavar="FRAME", help="loop_closure: odometry by /tf, else by scan matching."),
 ]
 ReferenceOption = Annotated[
     Path | None, typer.Option("--reference", metavar="TUM", help="Reference trajectory; errors are added and shown.")
-]
-ReferenceFrameOption = Annotated[
-    str | None,
-    typer.Option("--reference-frame", metavar="FRAME", help="Whose poses these are; the clouds' frame by default."),
 ]
 
 

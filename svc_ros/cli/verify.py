@@ -7,11 +7,21 @@ from typing import Annotated
 
 import typer
 
-from svc_ros.cli.console import check_json_target, summary_console, working, write_json
-from svc_ros.cli.options import ConfigOption, JsonOption, MethodOption, PresetOption, choose_from, read_wanted
-from svc_ros.cli.register import FailOption, SourceArgument, TargetArgument
-from svc_ros.cli.results import exit_for, show_result
-from svc_ros.cli.scans import read_scans
+from svc_ros.cli.console import check_json_target
+from svc_ros.cli.one_pair import OnePair
+from svc_ros.cli.options import (
+    ConfigOption,
+    FailOption,
+    JsonOption,
+    MethodOption,
+    PresetOption,
+    SourceArgument,
+    TargetArgument,
+    read_wanted,
+)
+from svc_ros.core.config import Config
+from svc_ros.core.result import RegistrationResult
+from svc_ros.core.scan import Scan
 
 TransformOption = Annotated[
     Path,
@@ -39,14 +49,10 @@ def verify(
     wanted = read_wanted(preset, method, config_file)
     check_json_target(json_target)
     T = read_transform(transform)
-    with working("verifying"):
-        from svc_ros.core import registration
-        from svc_ros.io.results import result_to_json
 
-        files = read_scans(source, target)
-        settings = wanted.settle(lambda: choose_from(files.scans))
-        result = files.decide(settings.config, lambda s, t: registration.verify(s, t, T, settings.config))
-    names = {"source": str(source), "target": str(target), **settings.told()}
-    write_json(result_to_json(result, **names), json_target)
-    show_result(summary_console(json_target), result, settings.shown())
-    exit_for(result.accepted, fail_on_reject)
+    def judge(source_scan: Scan, target_scan: Scan, config: Config) -> RegistrationResult:
+        from svc_ros.core import registration
+
+        return registration.verify(source_scan, target_scan, T, config)
+
+    OnePair(source, target, wanted, json_target, fail_on_reject).answer("verifying", judge)

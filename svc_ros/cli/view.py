@@ -9,8 +9,14 @@ from typing import Annotated, Any
 import typer
 
 from svc_ros.cli.console import note, working
-from svc_ros.cli.options import ConfigOption, PresetOption, choose_from, read_wanted
-from svc_ros.cli.register import SourceArgument, TargetArgument
+from svc_ros.cli.options import (
+    ConfigOption,
+    PresetOption,
+    SourceArgument,
+    TargetArgument,
+    choose_from,
+    read_wanted,
+)
 from svc_ros.cli.scans import read_scans
 from svc_ros.core.errors import ConfigError, InputError
 

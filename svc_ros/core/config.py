@@ -6,17 +6,19 @@ The tree is the single source: the YAML files in `config/`, the ROS parameters a
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from svc_ros.core.config_fields import FieldInfo, Group, check_value, unknown_name, value
+from svc_ros.core.config_fields import FieldInfo, Group, unknown_name, value, walk
 from svc_ros.core.decision_config import CovarianceConfig, DecisionConfig
 from svc_ros.core.errors import ConfigError
 from svc_ros.core.matches.descriptor_names import split_names
 from svc_ros.core.stream_config import LoopClosureConfig, ScanMatchingConfig
 
-__all__ = ["AUTO", "METHODS", "PRESETS", "Config", "FieldInfo", "preset", "unknown_name", "walk", "with_values"]
+__all__ = [
+    "AUTO", "METHODS", "PRESETS", "Config", "FieldInfo", "preset", "unknown_name", "values_of", "walk", "with_values",
+]  # fmt: skip
 
 METHODS = ("svc", "svc_paper", "sc2")
 AUTO = "auto"  # the preset that core.auto_preset chooses from the scans
@@ -144,7 +146,7 @@ class PaperConfig(Group):
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(Group):
     """The whole configuration of one registration."""
 
     method: str = value("svc", "how a pose is chosen and judged", choices=METHODS)
@@ -160,38 +162,20 @@ class Config:
     scan_matching: ScanMatchingConfig = field(default_factory=ScanMatchingConfig)
     loop_closure: LoopClosureConfig = field(default_factory=LoopClosureConfig)
 
-    def __post_init__(self) -> None:
-        check_value("method", self.method, dataclasses.fields(self)[0])
-
     @property
     def feature_radius_m(self) -> float:
         """Neighbourhood of a descriptor [m]."""
         return self.features.radius_voxels * self.preprocess.voxel_size_m
 
 
-def walk(config: Config) -> Iterator[FieldInfo]:
-    """Yield every leaf of the tree in order, with its dotted name, for parameters, YAML and help texts."""
-    for f, prefix, owner in _leaves(config):
-        meta = f.metadata
-        yield FieldInfo(
-            prefix + f.name, getattr(owner, f.name), meta["text"], meta["unit"],
-            meta["low"], meta["high"], meta["choices"],
-        )  # fmt: skip
-
-
-def _leaves(config: Config) -> Iterator[tuple[dataclasses.Field[Any], str, Any]]:
-    for f in dataclasses.fields(config):
-        group = getattr(config, f.name)
-        if dataclasses.is_dataclass(group):
-            for leaf in dataclasses.fields(group):
-                yield leaf, f"{f.name}.", group
-        else:
-            yield f, "", config
+def values_of(config: Config) -> dict[str, float | int | str | bool]:
+    """Every value of the tree by its dotted name, in order."""
+    return {info.name: info.default for info in walk(config)}
 
 
 def with_values(config: Config, values: Mapping[str, Any]) -> Config:
     """Return a copy with dotted names replaced, checked as a whole; unknown names raise ConfigError."""
-    known = [info.name for info in walk(config)]
+    known = list(values_of(config))
     groups: dict[str, dict[str, Any]] = {}
     for name, new in values.items():
         if name not in known:

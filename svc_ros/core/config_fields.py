@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -26,19 +27,32 @@ class FieldInfo:
 def value(default: Any, text: str, unit: str = "", low: float | None = None, high: float | None = None,
           choices: tuple[str, ...] = ()) -> Any:  # fmt: skip
     """A field of the configuration tree with all that is known about it."""
-    return field(
-        default=default, metadata={"text": text, "unit": unit, "low": low, "high": high, "choices": choices}
-    )
+    meta = {"description": text, "unit": unit, "low": low, "high": high, "choices": choices}
+    return field(default=default, metadata=meta)
 
 
+@dataclass(frozen=True)
 class Group:
-    """Checks every field against its own metadata when the group is built."""
+    """Checks every value against its own metadata when the group is built; what it holds besides are groups."""
 
     def __post_init__(self) -> None:
-        for f in dataclasses.fields(self):  # type: ignore[arg-type]
+        for f in dataclasses.fields(self):
             if f.metadata:
                 checked = check_value(f.name, getattr(self, f.name), f)
                 object.__setattr__(self, f.name, checked)
+
+
+def walk(group: Group, prefix: str = "") -> Iterator[FieldInfo]:
+    """Yield every value of a group, and of the groups in it, in order: for parameters, YAML and help texts.
+
+    Names are dotted, and begin with the prefix.
+    """
+    for f in dataclasses.fields(group):
+        held = getattr(group, f.name)
+        if isinstance(held, Group):
+            yield from walk(held, f"{prefix}{f.name}.")
+        else:
+            yield FieldInfo(prefix + f.name, held, **f.metadata)
 
 
 def check_value(name: str, value: Any, f: dataclasses.Field[Any]) -> Any:

@@ -21,7 +21,7 @@ from typing import Any
 
 import yaml
 
-from svc_ros.core.config import AUTO, PRESETS, Config, FieldInfo, preset, walk, with_values
+from svc_ros.core.config import AUTO, PRESETS, Config, FieldInfo, preset, values_of, walk, with_values
 from svc_ros.core.errors import ConfigError, InputError
 
 NODE_NAME = "svc_registration"
@@ -95,7 +95,7 @@ def read_config_file(path: str | Path) -> ConfigFile:
     values = dict(_flattened(_unwrapped(_load(path), path), path))
     node_values = {name: value for name, value in values.items() if _is_node_key(name)}
     config_values = {name: value for name, value in values.items() if name not in node_values}
-    known = [info.name for info in walk(Config())]
+    known = list(values_of(Config()))
     for name in config_values:
         if name not in known:
             raise ConfigError(f"{path}: {_unknown_key(name, known)}")
@@ -111,7 +111,7 @@ def config_to_yaml(config: Config, preset_name: str = "") -> str:
 
 def changes_to_yaml(config: Config, preset_name: str, always: Sequence[str] = (), comment: str = "") -> str:
     """Write only the values that are not the preset's, and those named in `always`; comment: text above them."""
-    base = {info.name: info.default for info in walk(preset(preset_name))}
+    base = values_of(preset(preset_name))
     told = [info for info in walk(config) if info.default != base[info.name] or info.name in always]
     lines = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
     return _HEADER.format(preset=preset_name) + lines + _parameters(told, preset_name)

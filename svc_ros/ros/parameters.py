@@ -19,7 +19,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from svc_ros.core.auto_preset import Choice
-from svc_ros.core.config import AUTO, PRESETS, Config, FieldInfo, preset, unknown_name, walk, with_values
+from svc_ros.core.config import AUTO, PRESETS, Config, FieldInfo, preset, unknown_name, values_of, walk, with_values
 from svc_ros.core.errors import ConfigError, MissingDependencyError
 from svc_ros.core.matches.descriptors import load_descriptors
 
@@ -118,8 +118,7 @@ class NodeParameters:
         self.config: Config = with_values(base, {info.name: self._declare(info) for info in walk(base)})
         load_descriptors(self.config)
         self.settings = _settings(NodeSettings(), {info.name: self._declare(info) for info in OWN})
-        self._known = [info.name for info in walk(base)] + [info.name for info in OWN] + ["preset"]
-        self._num_config = len(list(walk(base)))
+        self._known = [*values_of(base), *(info.name for info in OWN), "preset"]
         node.add_on_set_parameters_callback(self._check_change)
         node.add_post_set_parameters_callback(self._apply_change)
 
@@ -133,8 +132,8 @@ class NodeParameters:
 
         Raises ConfigError, and changes nothing, where they do not go with those that were set.
         """
-        now = {info.name: info.default for info in walk(self.config)}
-        wanted = {info.name: info.default for info in walk(choice.config) if info.name not in self._given}
+        now = values_of(self.config)
+        wanted = {name: value for name, value in values_of(choice.config).items() if name not in self._given}
         changed = [Parameter(name, value=value) for name, value in wanted.items() if value != now[name]]
         result = self._node.set_parameters_atomically(changed)
         if not result.successful:

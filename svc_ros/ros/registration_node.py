@@ -11,11 +11,12 @@ from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
 from svc_ros.core.errors import SvcError
+from svc_ros.io.config_yaml import NODE_NAME
 from svc_ros.ros.parameters import NodeParameters
 from svc_ros.ros.safe_events import SafeEventCallbacks
+from svc_ros.ros.services import Services
 from svc_ros.ros.session import Session
 
-NODE_NAME = "svc_registration"
 _CLEANUP_S, _FORGOTTEN_S = 60.0, 5.0  # longer than any one job takes, and than most
 
 _SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
@@ -33,7 +34,8 @@ class RegistrationNode(LifecycleNode):
         super().__init__(options.pop("node_name", NODE_NAME), **options)
         self._svc = NodeParameters(self)
         self._session: Session | None = None
-        self._last_session: Session | None = None
+        self._offered: Services | None = None
+        self._last_offered: Services | None = None
         self._failure: Exception | None = None
         for text in self._svc.unknown_overrides():
             self.get_logger().warning(text)
@@ -66,11 +68,12 @@ class RegistrationNode(LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Create everything and warm up; what goes wrong is said in the log, and the node stays unconfigured."""
-        if self._last_session is not None:
-            self._last_session.services.give_back()  # they may stay for a moment, and would answer for the new ones
-            self._last_session = None
+        if self._last_offered is not None:
+            self._last_offered.give_back()  # they may stay for a moment, and would answer for the new ones
+            self._last_offered = None
         try:
             self._session = Session(self, self._svc)
+            self._offered = Services(self, self._session)
         except Exception as error:
             self._failure = error
             text = str(error) if isinstance(error, SvcError) else f"{type(error).__name__}: {error}"
@@ -117,6 +120,8 @@ class RegistrationNode(LifecycleNode):
     def _end(self) -> None:
         if self._session is not None:
             self._session.stop(_CLEANUP_S)
+            if self._offered is not None:
+                self._offered.destroy()
+                self._last_offered = self._offered if self._offered.are_left else None
             self._session.destroy()
-            self._last_session = self._session if self._session.services.are_left else None
-            self._session = None
+            self._session = self._offered = None

@@ -6,7 +6,7 @@ import contextlib
 import functools
 import json
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
@@ -17,20 +17,17 @@ from rclpy.timer import Timer
 from std_srvs.srv import SetBool, Trigger
 
 from svc_ros.core.errors import SvcError
-from svc_ros.ros.parameters import NodeParameters
-from svc_ros.ros.streams.loop_engine import LoopEngine
-
-if TYPE_CHECKING:
-    from svc_ros.ros.session import Session
+from svc_ros.ros.session import Session
 
 _ENDED = False, "the node was cleaned up or shut down"
 _ANSWERED_S = 0.1  # by then the executor has sent the answers that were ready before
 
-class Services:
-    """`~/status`, `~/enable`, `~/reset`, `~/verify`, and in loop closure `~/save_graph`."""
 
-    def __init__(self, node: Node, parameters: NodeParameters, session: Session) -> None:
-        self._node, self._parameters, self._session = node, parameters, session
+class Services:
+    """`~/status`, `~/enable`, `~/reset`, `~/verify`, and in loop closure `~/save_graph`: the calls of a session."""
+
+    def __init__(self, node: Node, session: Session) -> None:
+        self._node, self._session = node, session
         self._waiting: set[Future] = set()
         self._last_answers: Timer | None = None
         self._is_ended = False
@@ -42,7 +39,7 @@ class Services:
             node.create_service(Trigger, "~/reset", self._on_reset, callback_group=waits),
             node.create_service(Trigger, "~/verify", self._on_verify, callback_group=waits),
         ]
-        if isinstance(session.engine, LoopEngine):
+        if session.has_graph:
             self._services.append(
                 node.create_service(Trigger, "~/save_graph", self._on_save_graph, callback_group=waits)
             )
@@ -78,25 +75,11 @@ class Services:
             self._node.destroy_service(self._services.pop())
 
     def _on_status(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        session = self._session
-        with session.inputs.lock:
-            status = {
-                "mode": self._parameters.settings.mode,
-                "preset": self._parameters.preset_name,
-                **({} if self._parameters.choice is None else {"chosen": dict(self._parameters.choice.summary())}),
-                "method": self._parameters.config.method,
-                "received": {name: monitor.num_received for name, monitor in session.statistics.inputs.items()},
-                "lost": dict(session.statistics.num_lost),
-                **session.flow(),
-                **session.statistics.numbers(),
-            }
-        response.success, response.message = True, json.dumps(status)
+        response.success, response.message = True, json.dumps(self._session.status())
         return response
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        self._session.is_enabled = bool(request.data)
-        if not self._session.is_enabled:
-            self._session.deactivate("the node was disabled")
+        self._session.enable(bool(request.data))
         response.success, response.message = True, "enabled" if self._session.is_enabled else "disabled"
         return response
 
@@ -105,20 +88,17 @@ class Services:
         return await self._answer(response, self._reset)
 
     async def _on_verify(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return await self._answer(
-            response, lambda: json.dumps(self._session.engine.judge_again(self._parameters.config))
-        )
+        return await self._answer(response, lambda: json.dumps(self._session.judge_again()))
 
     async def _on_save_graph(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         return await self._answer(response, self._save_graph)
 
     def _reset(self) -> str:
-        self._session.engine.reset()
+        self._session.reset_engine()
         return "pairing, queue, guesses and everything computed are forgotten"
 
     def _save_graph(self) -> str:
-        assert isinstance(self._session.engine, LoopEngine)
-        path = self._session.engine.write_graph()
+        path = self._session.write_graph()
         return f"written to {path}" if path else "nothing written: no keyframes with odometry, or graph_file is empty"
 
     async def _answer(self, response: Trigger.Response, call: Callable[[], str]) -> Trigger.Response:
@@ -143,7 +123,7 @@ class Services:
             if self._node.executor is not None:
                 self._node.executor.wake()
 
-        self._session.worker.jobs.call_next(run)
+        self._session.call_on_worker(run)
         return future
 
 

@@ -1,10 +1,11 @@
-"""Everything that exists while the node is configured: inputs, the worker with its engine, outputs, services."""
+"""Everything that exists while the node is configured: inputs, the worker with its engine, outputs."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,6 @@ from svc_ros.pipeline.decide import refused
 from svc_ros.pipeline.scan_matching import ScanMatcher
 from svc_ros.ros.diagnostics import Statistics, statuses
 from svc_ros.ros.parameters import NodeParameters, NodeSettings
-from svc_ros.ros.services import Services
 from svc_ros.ros.streams.decision import Decision, Engine, labels
 from svc_ros.ros.streams.first_choice import FirstChoice
 from svc_ros.ros.streams.loop_engine import LoopEngine
@@ -61,7 +61,6 @@ class Session:
         self._first_choice = FirstChoice(parameters, _Sources(self).origin, node.get_logger().info)
         self.worker = Worker(self._process, self._warm_up)
         self.inputs = Inputs(node, parameters, self.statistics, self._take)
-        self.services = Services(node, parameters, self)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         node.add_on_set_parameters_callback(self._check_change)
         self._jumps = node.get_clock().create_jump_callback(_JUMP, post_callback=self._on_clock_jump)
@@ -77,18 +76,17 @@ class Session:
         self.inputs.clear()
         is_done = self.worker.stop(timeout_s)
         self.outputs.finish(_FINISH_S)
-        if isinstance(self.engine, LoopEngine):
-            try:
-                self.engine.write_graph()
-            except InputError as error:
-                self._node.get_logger().error(str(error))
+        try:
+            self.write_graph()
+        except InputError as error:
+            self._node.get_logger().error(str(error))
         return is_done
 
     def destroy(self) -> None:
         """Give everything back to the node; `stop` comes first."""
         self._node.remove_on_set_parameters_callback(self._check_change)
         self._jumps.unregister()
-        for part in (self.inputs, self.services, self.outputs, self.frames):
+        for part in (self.inputs, self.outputs, self.frames):
             part.destroy()
         self._node.destroy_publisher(self._diagnostics)
 
@@ -102,6 +100,32 @@ class Session:
             self._diagnostics.publish(message)
             self.outputs.publish_path(settings)
 
+    @property
+    def has_graph(self) -> bool:
+        """Whether the mode keeps a pose graph."""
+        return isinstance(self.engine, LoopEngine)
+
+    def status(self) -> dict[str, Any]:
+        """What the node is set to do, and all that it counts: one moment's snapshot."""
+        parameters = self._parameters
+        with self.inputs.lock:
+            return {
+                "mode": parameters.settings.mode,
+                "preset": parameters.preset_name,
+                **({} if parameters.choice is None else {"chosen": dict(parameters.choice.summary())}),
+                "method": parameters.config.method,
+                "received": {name: monitor.num_received for name, monitor in self.statistics.inputs.items()},
+                "lost": dict(self.statistics.num_lost),
+                **self.flow(),
+                **self.statistics.numbers(),
+            }
+
+    def enable(self, wanted: bool) -> None:
+        """Take new work again, or give up what waits and drop what comes."""
+        self.is_enabled = wanted
+        if not wanted:
+            self.deactivate("the node was disabled")
+
     def deactivate(self, detail: str) -> None:
         """Give up what waits to be computed; what is computed now gets its decision."""
         self.worker.jobs.give_up(Reason.INACTIVE, detail)
@@ -110,6 +134,10 @@ class Session:
         """Empty pairing, queue, guesses and odometry; what waited is `stale`."""
         self.inputs.clear()
         self.worker.jobs.give_up(Reason.STALE, detail)
+
+    def call_on_worker(self, call: Callable[[], None]) -> None:
+        """Let the worker call, between two jobs."""
+        self.worker.jobs.call_next(call)
 
     def flow(self) -> dict[str, Any]:
         """Counters of pairing and worker, for status and diagnostics."""
@@ -172,9 +200,21 @@ class Session:
         if self.inputs.is_ahead_of(self._node.get_clock().now().nanoseconds):
             self.forget_inputs("the clock jumped back")
             self.frames.clear()
-            self.worker.jobs.call_next(self.engine.reset)
+            self.call_on_worker(self.reset_engine)
 
     # on the worker's thread
+
+    def reset_engine(self) -> None:
+        """Forget everything computed. Raises InputError where what is to be kept of it cannot be written."""
+        self.engine.reset()
+
+    def judge_again(self) -> dict[str, Any]:
+        """Judge the last pose once more, for a service; see Engine."""
+        return self.engine.judge_again(self._parameters.config)
+
+    def write_graph(self) -> Path | None:
+        """Write the pose graph, if the mode keeps one; safe from any thread. See LoopEngine."""
+        return self.engine.write_graph() if isinstance(self.engine, LoopEngine) else None
 
     def _warm_up(self) -> None:
         start, logger = time.monotonic(), self._node.get_logger()

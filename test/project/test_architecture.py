@@ -8,7 +8,7 @@ import re
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pytest
@@ -118,6 +118,46 @@ def test_no_form_of_import_is_overlooked(source: str, found: list[str]) -> None:
     assert [name for name, _ in imported_names(ast.parse(source), "svc_ros.ros")] == found
 
 
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    """Counted is every import: those in functions, too, and those for type checkers."""
+    known = {module_name(path): path for path in FILES}
+    homes = {name: {home_of(found, known) for found, _ in imports_of(path)} for name, path in known.items()}
+    assert circles_of({name: found - {"", name} for name, found in homes.items()}) == []
+
+
+def module_name(path: Path) -> str:
+    return ".".join(path.relative_to(PROJECT_ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+def home_of(name: str, known: Mapping[str, Path]) -> str:
+    """The module that a dotted name is of, '' if it is none of ours."""
+    while name and name not in known:
+        name = name.rpartition(".")[0]
+    return name
+
+
+def circles_of(imports: Mapping[str, set[str]]) -> list[str]:
+    """What is left without modules that import nothing of it, and without those that nothing of it imports."""
+    left = {name: set(found) for name, found in imports.items()}
+    while ends := [name for name, found in left.items() if not found & set(left)]:
+        left = {name: found for name, found in left.items() if name not in ends}
+    while starts := set(left) - {found for name in left for found in left[name]}:
+        left = {name: found for name, found in left.items() if name not in starts}
+    return [f"{name} imports {', '.join(sorted(found & set(left)))}" for name, found in sorted(left.items())]
+
+
+@pytest.mark.parametrize(
+    ("imports", "found"),
+    [
+        ({"a": {"b"}, "b": {"c"}, "c": set()}, []),
+        ({"a": {"b"}, "b": {"a", "c"}, "c": set(), "d": {"a"}}, ["a imports b", "b imports a"]),
+        ({"a": {"b"}, "b": {"c"}, "c": {"a"}}, ["a imports b", "b imports c", "c imports a"]),
+    ],
+)
+def test_no_circle_is_overlooked(imports: dict[str, set[str]], found: list[str]) -> None:
+    assert circles_of(imports) == found
+
+
 def test_only_the_ros_layer_imports_ros() -> None:
     wrong = [
         f"{label(path)}:{line} imports {name}"
@@ -131,11 +171,7 @@ def test_only_the_ros_layer_imports_ros() -> None:
 
 def test_all_other_layers_load_without_ros() -> None:
     """Every module, in a Python where importing rclpy or a message package fails."""
-    modules = [
-        ".".join(path.relative_to(PROJECT_ROOT).with_suffix("").parts).removesuffix(".__init__")
-        for path in FILES
-        if layer_of(path) in WITHOUT_ROS
-    ]
+    modules = [module_name(path) for path in FILES if layer_of(path) in WITHOUT_ROS]
     blocked = ["rclpy", "rcl_interfaces", "builtin_interfaces", "sensor_msgs", "geometry_msgs", "std_msgs",
                "std_srvs", "nav_msgs", "diagnostic_msgs", "visualization_msgs", "tf2_ros", "tf2_msgs"]  # fmt: skip
     code = (

@@ -51,7 +51,7 @@ def rows(section: str) -> list[list[str]]:
 
 def launch_arguments() -> set[str]:
     texts = [path.read_text("utf-8") for path in (PROJECT_ROOT / "launch").glob("*.py")]
-    return {name for text in texts for name in re.findall(r'^    "(\w+)": \(', text, re.MULTILINE)}
+    return {name for text in texts for name in re.findall(r'^    "(\w+)": (?:\(|MODE,)', text, re.MULTILINE)}
 
 
 def spelled_out() -> set[str]:

@@ -14,7 +14,7 @@ from rich.text import Text
 from svc_ros.cli.console import check_json_target, summary_console, working, write_json
 from svc_ros.cli.doctor.finding import Finding
 from svc_ros.cli.exit_codes import BAD_INPUT, print_error
-from svc_ros.cli.options import JsonOption
+from svc_ros.cli.options import JsonOption, SensorOption
 
 _STYLES = {"ok": "green", "warn": "yellow", "error": "bold red"}
 
@@ -22,11 +22,6 @@ BagArgument = Annotated[Path | None, typer.Argument(metavar="[BAG]", help="Check
 TopicOption = Annotated[str | None, typer.Option("--topic", metavar="TOPIC", help="Clouds of this topic only.")]
 TrialOption = Annotated[
     bool, typer.Option("--trial/--no-trial", help="Register up to three pairs of neighbouring scans of the bag.")
-]
-
-SensorOption = Annotated[
-    str | None,
-    typer.Option("--sensor-frame", metavar="FRAME", help="Sensor's frame, where the clouds are in another one."),
 ]
 
 

@@ -1,4 +1,4 @@
-"""Hot loop that refines poses on the correspondences they agree with; no GIL, no state. Twin in test/support/reference.py."""
+"""Hot loop that refines poses on the correspondences they agree with; no GIL. Twins: test/support/reference.py."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hot loops that gather points into clusters, compiled by numba; no GIL, no state. Twins: test/support/reference_images.py."""
+"""Hot loops that gather points into clusters, compiled by numba; no GIL. Twins: test/support/reference_images.py."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fast point feature histograms (Rusu et al. 2009), compiled by numba; no GIL, no state. Twins in test/support/reference.py.
+"""Fast point feature histograms (Rusu et al. 2009), compiled by numba; no GIL. Twins: test/support/reference.py.
 
 Points and grids as in surface_kernels. Neighbours are looked at _LANES at a time, side by side in one flat buffer of
 rows of _LANES, so that the geometry of the pairs runs in vector registers.

@@ -1,4 +1,4 @@
-"""Normal equations of point-to-plane residuals, compiled by numba; no GIL, no state. Twins in test/support/reference.py."""
+"""Normal equations of point-to-plane residuals, compiled by numba; no GIL. Twins: test/support/reference.py."""
 
 from __future__ import annotations
 

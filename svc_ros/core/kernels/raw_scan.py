@@ -1,4 +1,4 @@
-"""Hot loops over all raw points of a scan, compiled by numba; no GIL, no state. Twins in test/core/scans/test_preprocess.py."""
+"""Hot loops over all raw points of a scan, compiled by numba; no GIL. Twins: test/core/scans/test_preprocess.py."""
 
 from __future__ import annotations
 

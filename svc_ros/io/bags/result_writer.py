@@ -19,9 +19,9 @@ from svc_ros.core.result import RegistrationResult
 from svc_ros.io.bags.mcap_folder import CLOUD_TYPE, POSE_TYPE, TRANSFORM_TYPE, McapFolder
 from svc_ros.io.bags.pictures import MARKERS_TYPE, Picture, marker_array
 from svc_ros.io.bags.writers import checked_stamp, distinct_frames
+from svc_ros.io.config_yaml import NODE_NAME
 from svc_ros.io.results import decision_values
 
-NODE_NAME = "svc_registration"
 RESULT_TOPICS = {
     "transform": TRANSFORM_TYPE,
     "pose": POSE_TYPE,
