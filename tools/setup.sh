@@ -47,10 +47,6 @@ pip_install setuptools
 pip_install --no-build-isolation -e ".[$extras]"
 tools/system_libraries.sh .venv/bin/python
 tools/chromium.sh
-echo "compiling the kernels, once"
-find svc_ros -name "*.nb[ic]" -delete  # numba looks at the file of a kernel only, not at those that it calls
-.venv/bin/python -c "
-from svc_ros.core.config import preset
-from svc_ros.ros.streams.registrar import warm_up
-warm_up(preset('lidar_outdoor'))" </dev/null || echo "warning: that failed; they are compiled when they are first needed"
+.venv/bin/python -m svc_ros.ros.compile_kernels </dev/null ||
+  echo "warning: the kernels could not be compiled; that is tried again when they are first needed"
 echo "ready: .venv/bin/svc_ros doctor says what works"

@@ -11,10 +11,21 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    SpinnerColumn,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 from rich.text import Text
 
+from svc_ros.core.compiling import Compiling, opening, told, watched
 from svc_ros.core.errors import InputError
 
 STDOUT = "-"
@@ -41,7 +52,7 @@ def progress(description: str) -> Iterator[ProgressCallback]:
     columns = (
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()
     )  # fmt: skip
-    with Progress(*columns, console=_stderr, transient=True, disable=not _stderr.is_terminal) as bar:
+    with shown(*columns) as bar:
         task = bar.add_task(description, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
@@ -49,11 +60,34 @@ def progress(description: str) -> Iterator[ProgressCallback]:
 @contextmanager
 def working(description: str) -> Iterator[None]:
     """A spinner on stderr for one step of unknown length, only on a terminal."""
-    if not _stderr.is_terminal:
+    with shown(SpinnerColumn(), TextColumn("{task.description}")) as bar:
+        bar.add_task(description, total=None)
         yield
-        return
-    with _stderr.status(description):
-        yield
+
+
+@contextmanager
+def shown(*columns: ProgressColumn) -> Iterator[Progress]:
+    """A bar on stderr that vanishes when done, only on a terminal; a row of it, or lines, tell what is compiled."""
+    bar = Progress(*columns, console=_stderr, transient=True, disable=not _stderr.is_terminal)
+    with bar, watched(_CompilingRow(bar)) if _stderr.is_terminal else told(note):
+        yield bar
+
+
+class _CompilingRow:
+    """A row of a bar, there while kernels are compiled."""
+
+    def __init__(self, bar: Progress) -> None:
+        self._bar = bar
+        self._task: TaskID | None = None
+
+    def __call__(self, state: Compiling) -> None:
+        if self._task is None:
+            self._bar.console.print(opening(state), soft_wrap=True, markup=False, highlight=False)
+            self._task = self._bar.add_task("")
+        text = f"compiling the kernels, {state.num_done} of {state.num_expected}"
+        self._bar.update(
+            self._task, description=text, completed=state.num_done, total=state.num_expected, visible=state.is_busy
+        )
 
 
 def check_json_target(target: str | None) -> None:

@@ -12,7 +12,6 @@ from typing import Any
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
-    Progress,
     ProgressColumn,
     Task,
     TextColumn,
@@ -21,7 +20,7 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from svc_ros.cli.console import STDOUT, ProgressCallback, key_value_table, note, summary_console
+from svc_ros.cli.console import ProgressCallback, key_value_table, note, shown, summary_console
 
 
 class _RateColumn(ProgressColumn):
@@ -34,10 +33,9 @@ class _RateColumn(ProgressColumn):
 @contextmanager
 def replay_progress(description: str) -> Iterator[ProgressCallback]:
     """A bar on stderr with rate and time left, only on a terminal; yields the callback (done, total)."""
-    console = summary_console(STDOUT)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), _RateColumn())
     times = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
-    with Progress(*columns, *times, console=console, transient=True, disable=not console.is_terminal) as bar:
+    with shown(*columns, *times) as bar:
         task = bar.add_task(description, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 

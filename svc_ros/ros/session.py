@@ -18,6 +18,7 @@ from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from svc_ros.core.compiling import told
 from svc_ros.core.errors import InputError, MissingDependencyError
 from svc_ros.core.result import Reason
 from svc_ros.core.scan import Array, Scan
@@ -218,8 +219,9 @@ class Session:
 
     def _warm_up(self) -> None:
         start, logger = time.monotonic(), self._node.get_logger()
-        logger.info("warming up: the first run compiles, which takes a while")
-        self.engine.warm_up(self._parameters.config)
+        logger.info("warming up")
+        with told(logger.info):
+            self.engine.warm_up(self._parameters.config)
         logger.info(
             f"ready: mode {self._parameters.settings.mode}, preset {self._parameters.preset_name}, "
             f"method {self._parameters.config.method} (warm-up {time.monotonic() - start:.1f} s)"

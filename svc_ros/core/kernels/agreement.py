@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from svc_ros.core.compiling import kernel
 from svc_ros.core.se3 import RANK_TOLERANCE
 
-_jit = njit(nogil=True, cache=True, error_model="numpy")
+_jit = kernel()
 
 
 @_jit
@@ -45,7 +45,8 @@ def _fit(x, y, weights, T):  # type: ignore[no-untyped-def]
             for i in range(3):
                 mean_x[i] += weights[c] * x[c, i]
                 mean_y[i] += weights[c] * y[c, i]
-    mean_x, mean_y = mean_x / total, mean_y / total
+    for i in range(3):
+        mean_x[i], mean_y[i] = mean_x[i] / total, mean_y[i] / total
     for c in range(x.shape[0]):
         if weights[c] > 0.0:
             for i in range(3):
@@ -54,10 +55,21 @@ def _fit(x, y, weights, T):  # type: ignore[no-untyped-def]
     U, singular, Vt = np.linalg.svd(cov)
     if not singular[1] > RANK_TOLERANCE * singular[0]:
         return False
-    V = np.ascontiguousarray(Vt.T)
-    if np.linalg.det(V) * np.linalg.det(U) < 0.0:
-        V[:, 2] *= -1.0
-    R = V @ np.ascontiguousarray(U.T)
-    T[:3, :3] = R
-    T[:3, 3] = mean_y - R @ mean_x
+    V, Ut = np.ascontiguousarray(Vt.T), np.ascontiguousarray(U.T)
+    if _determinant(V) * _determinant(Ut) < 0.0:
+        for i in range(3):
+            V[i, 2] *= -1.0
+    R = V @ Ut
+    turned = R @ mean_x
+    for i in range(3):  # entry by entry: whole arrays bring along the message on shapes that differ, long to compile
+        for j in range(3):
+            T[i, j] = R[i, j]
+        T[i, 3] = mean_y[i] - turned[i]
     return True
+
+
+@_jit
+def _determinant(M):  # type: ignore[no-untyped-def]
+    """Of a matrix (3, 3) that turns or mirrors, 1 or -1: its sign is what is asked for."""
+    a, b = M[1, 1] * M[2, 2] - M[1, 2] * M[2, 1], M[1, 0] * M[2, 2] - M[1, 2] * M[2, 0]
+    return M[0, 0] * a - M[0, 1] * b + M[0, 2] * (M[1, 0] * M[2, 1] - M[1, 1] * M[2, 0])

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-_jit = njit(nogil=True, cache=True, error_model="numpy")
+from svc_ros.core.compiling import kernel
+
+_jit = kernel()
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _REACH = np.int64(1) << 20  # cells each way from the first point: more than any scan holds

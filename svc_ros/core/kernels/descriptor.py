@@ -7,12 +7,13 @@ that a query is compared with all of them at once and the answer is a bit mask.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from svc_ros.core.compiling import kernel
 
 HEAD, LANES = 8, 16
 
 # Every distance comes out of the same instructions, so that equal rows are equally far, to the bit.
-_jit = njit(nogil=True, cache=True, error_model="numpy", fastmath={"nnan", "ninf", "nsz", "contract", "reassoc"})
+_jit = kernel(fastmath={"nnan", "ninf", "nsz", "contract", "reassoc"})
 
 # No unit rows are so far apart, and the boxes that fill up a block are farther.
 _ZERO, _ONE, _FAR = np.float32(0), np.uint32(1), np.float32(1e12)
@@ -76,7 +77,9 @@ def find_directions(sample, rounds, directions):  # type: ignore[no-untyped-def]
             for b in range(HEAD):
                 for k in range(len(row)):
                     turned[b, k] += along[b] * row[k]
-        directions[:] = turned
+        for b in range(HEAD):  # whole arrays bring along the message on shapes that differ, long to compile
+            for k in range(directions.shape[1]):
+                directions[b, k] = turned[b, k]
         _make_orthonormal(directions)
 
 

@@ -6,9 +6,10 @@ Cells are columns of azimuth and, in each, rows by the sine of the elevation. Tw
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-_jit = njit(nogil=True, cache=True, error_model="numpy")
+from svc_ros.core.compiling import kernel
+
+_jit = kernel()
 
 _ROUNDING = 1e-6  # of a cell: so near to its border a direction is looked for on both sides
 _ARC_SINE = 0.5708  # arcsin(a) <= a + this * a^3

@@ -9,14 +9,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from svc_ros.core.compiling import kernel
 from svc_ros.core.kernels.surface import find_surroundings
 
 BINS = 11
 _LANES, _ROWS = 64, 9
 
-_jit = njit(nogil=True, cache=True, error_model="numpy", fastmath={"nnan", "ninf", "nsz", "contract"})
+_jit = kernel(fastmath={"nnan", "ninf", "nsz", "contract"})
 
 _ZERO, _ONE, _TINY = np.float32(0), np.float32(1), np.float32(1e-20)
 _MIDDLE, _HALF, _LAST = np.float32(BINS // 2), np.float32(0.5 * BINS), np.float32(BINS - 0.5)
@@ -44,7 +44,9 @@ def fill_own_histograms(begin, end, radius, most, grid, normals, histograms):  #
         for first in range(0, num, _LANES):
             _count_pairs(points, normals, i, found[first : min(first + _LANES, num)], buffer, histograms[i])
         if num:
-            histograms[i] *= np.float32(100) / np.float32(num)
+            scale = np.float32(100) / np.float32(num)
+            for b in range(3 * BINS):
+                histograms[i, b] *= scale
         for k in range(num):
             neighbours[total + k] = found[k]
             weights[total + k] = 1.0 / squared[k] if squared[k] > 0 else 0.0

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from svc_ros.core.compiling import kernel
 from svc_ros.core.kernels.nearest import find_nearest
 from svc_ros.core.kernels.placement import AT_ONCE, move
 from svc_ros.core.kernels.plane import fill_rows, sum_squared, sum_up
 
-_jit = njit(nogil=True, cache=True, error_model="numpy")
+_jit = kernel()
 
 _FIRST_DAMPING, _DAMPING_FACTOR, _TRIALS = 1e-3, 10.0, 10
 _SMALL_SHIFT, _SMALL_TURN = 2e-3, 4e-4  # a step of less [m], [rad] a metre of the radius ends the search
@@ -44,7 +44,7 @@ def align(T, source, normals, target, radius, grid, rounds):  # type: ignore[no-
         if not better:
             return done + 1
         damping /= _DAMPING_FACTOR
-        T[:] = moved
+        _copy(moved, T)
         if _length(step[:3]) <= _SMALL_SHIFT * radius and _length(step[3:]) <= _SMALL_TURN * radius:
             return done + 1
     return rounds
@@ -109,7 +109,7 @@ def _move(step, T, moved):  # type: ignore[no-untyped-def]
     x, y, z = step[3], step[4], step[5]
     sine = np.sin(angle) / angle if angle > 1e-12 else 1.0
     bend = (1.0 - np.cos(angle)) / (angle * angle) if angle > 1e-6 else 0.5
-    moved[:] = T
+    _copy(T, moved)
     for n in range(4):
         u, v, w = T[0, n], T[1, n], T[2, n]
         cu, cv, cw = y * w - z * v, z * u - x * w, x * v - y * u
@@ -118,6 +118,14 @@ def _move(step, T, moved):  # type: ignore[no-untyped-def]
         moved[2, n] = w + sine * cw + bend * (x * cv - y * cu)
     for k in range(3):
         moved[k, 3] += step[k]
+
+
+@_jit
+def _copy(pose, into):  # type: ignore[no-untyped-def]
+    """Entry by entry (4, 4): whole arrays bring along the message on shapes that differ, long to compile."""
+    for i in range(4):
+        for j in range(4):
+            into[i, j] = pose[i, j]
 
 
 @_jit

@@ -8,13 +8,14 @@ test/support/reference.py.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from svc_ros.core.compiling import kernel
 
 LANES, LEVELS = 16, 2  # LEVELS: cells that are as high, together, as the radius
 _SHIFT = 4  # log2(LANES)
 _STEPS = 2.0**25  # squared distances are compared in so many steps of the squared radius
 
-_jit = njit(nogil=True, cache=True, error_model="numpy")
+_jit = kernel()
 
 
 @_jit

@@ -6,9 +6,9 @@ surroundings of a point are at most nine short runs. Twins in test/support/refer
 
 from __future__ import annotations
 
-from numba import njit
+from svc_ros.core.compiling import kernel
 
-_jit = njit(nogil=True, cache=True, error_model="numpy")
+_jit = kernel()
 
 
 @_jit

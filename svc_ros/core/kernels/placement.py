@@ -6,12 +6,12 @@ Points are placed a few at a time: what is known of them is used before it leave
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from svc_ros.core.compiling import kernel
 from svc_ros.core.kernels.nearest import find_nearest
 from svc_ros.core.kernels.plane import fill_rows, sum_up
 
-_jit = njit(nogil=True, cache=True, error_model="numpy")
+_jit = kernel()
 
 AT_ONCE = 256
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-_jit = njit(nogil=True, cache=True, error_model="numpy", fastmath={"reassoc", "nsz"})  # sums of several at once
+from svc_ros.core.compiling import kernel
+
+_jit = kernel(fastmath={"reassoc", "nsz"})  # sums of several at once
 
 _SWEEPS = 8  # each doubles the digits
 
@@ -59,7 +60,8 @@ def find_axes(A, axes):  # type: ignore[no-untyped-def]
 
     By rotations (Jacobi). A is overwritten.
     """
-    V = np.eye(3)
+    V = np.zeros((3, 3))
+    V[0, 0] = V[1, 1] = V[2, 2] = 1.0
     for _ in range(_SWEEPS):
         for i in range(2):
             for j in range(i + 1, 3):
@@ -74,8 +76,15 @@ def find_axes(A, axes):  # type: ignore[no-untyped-def]
                 for k in range(3):
                     A[i, k], A[j, k] = cosine * A[i, k] - sine * A[j, k], sine * A[i, k] + cosine * A[j, k]
                     V[k, i], V[k, j] = cosine * V[k, i] - sine * V[k, j], sine * V[k, i] + cosine * V[k, j]
-    values = np.array([A[0, 0], A[1, 1], A[2, 2]])
-    order = np.argsort(values)
-    for n in range(3):
-        axes[n] = V[:, order[n]]
-    return values[order]
+    values = np.empty(3)
+    for n in range(3):  # by insertion; of equal ones the first
+        place = n
+        while place > 0 and A[n, n] < values[place - 1]:
+            values[place] = values[place - 1]
+            for k in range(3):
+                axes[place, k] = axes[place - 1, k]
+            place -= 1
+        values[place] = A[n, n]
+        for k in range(3):
+            axes[place, k] = V[k, n]
+    return values

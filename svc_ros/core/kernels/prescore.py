@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from svc_ros.core.compiling import kernel
 from svc_ros.core.kernels.nearest import find_nearest
 from svc_ros.core.kernels.placement import place
 
-_jit = njit(nogil=True, cache=True, error_model="numpy")
+_jit = kernel()
 
 
 @_jit
@@ -18,7 +18,7 @@ def count_agreeing(T, points, normals, radius, grid, own_normals, min_cosine, ag
     own_normals (N, 3); grid: the tables of a NearestGrid of the own points.
     """
     shape, spans, starts, blocks, names = grid
-    placed, turned, nearest = np.empty_like(points), np.empty_like(points), np.empty(len(points), np.int64)
+    placed, turned, nearest = np.empty_like(points), np.empty_like(points), np.empty(len(points), np.int32)
     for h in range(T.shape[0]):
         place(T[h], points, normals, placed, turned)
         find_nearest(placed, radius, shape, spans, starts, blocks, names, nearest)

@@ -7,11 +7,11 @@ an image and for those that are held against it, so that both agree on every bor
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from svc_ros.core.compiling import kernel
 from svc_ros.core.kernels.placement import turned_dot
 
-_jit = njit(nogil=True, cache=True, error_model="numpy")
+_jit = kernel()
 
 
 @_jit

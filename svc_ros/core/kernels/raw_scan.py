@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-_jit = njit(nogil=True, cache=True, error_model="numpy")
+from svc_ros.core.compiling import kernel
+
+_jit = kernel()
 
 FRACTION_STEPS = 2.0**32  # a point's place inside its voxel, in steps of a nanometre or less
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from svc_ros.core.compiling import kernel
 from svc_ros.core.kernels.direction import cell_range, fill_bounds
 from svc_ros.core.kernels.placement import turned_dot
 
-_jit = njit(nogil=True, cache=True, error_model="numpy")
+_jit = kernel()
 
 _AT_ONCE = 256
+_ZERO = np.int64(0)  # a plain 0 is a type of its own: what it is passed to, compiled twice
 _HITS = 1024  # lines that pass a point closely are judged so many at a time
 
 
@@ -86,11 +87,11 @@ def find_blockers(T, points, normals, nearest, origin, limits, grid, found):  # 
     bounds, sizes = np.empty((4, _AT_ONCE), np.int32), np.empty((3, _AT_ONCE))
     of_point, of_line = np.empty(_HITS + 1, np.uint32), np.empty(_HITS + 1, np.uint32)
     hits, batch = (of_point, of_line), (names, x, y, z, sizes)
-    next_point = 0
+    next_point = _ZERO
     while next_point < nearest.shape[0]:
         num, next_point = place_alone(T, points, nearest, origin, next_point, names, x, y, z)
         fill_bounds(x[:num], y[:num], z[:num], radius, max_sine, float(rows), float(columns), bounds, sizes)
-        num_hits = 0
+        num_hits = _ZERO
         for k in range(num):
             px, py, pz, sq_p, sq_limit = x[k], y[k], z[k], sizes[0, k], sizes[2, k]
             if sizes[1, k] <= radius:
@@ -104,7 +105,7 @@ def find_blockers(T, points, normals, nearest, origin, limits, grid, found):  # 
                     num_hits += (dot > 0.0) & (sq_p - dot * dot / (q_range * q_range) <= sq_limit)
                     if num_hits == _HITS:
                         judge_hits(num_hits, hits, batch, T, normals, limits, grid, found)
-                        num_hits = 0
+                        num_hits = _ZERO
         judge_hits(num_hits, hits, batch, T, normals, limits, grid, found)
 
 
@@ -120,7 +121,7 @@ def find_free_blocked(T, points, normals, nearest, origin, limits, grid, met):  
     min_cosine = 1.0 / np.sqrt(1.0 + max_tangent * max_tangent)
     x, y, z, names = np.empty(_AT_ONCE), np.empty(_AT_ONCE), np.empty(_AT_ONCE), np.empty(_AT_ONCE + 1, np.int64)
     bounds, sizes = np.empty((4, _AT_ONCE), np.int32), np.empty((3, _AT_ONCE))
-    next_point = 0
+    next_point = _ZERO
     while next_point < nearest.shape[0]:
         num, next_point = place_alone(T, points, nearest, origin, next_point, names, x, y, z)
         fill_bounds(x[:num], y[:num], z[:num], radius, max_sine, float(rows), float(columns), bounds, sizes)

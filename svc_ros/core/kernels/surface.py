@@ -7,10 +7,12 @@ column_first and starts of one. Twins in test/support/reference.py.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-_jit = njit(nogil=True, cache=True, error_model="numpy")
+from svc_ros.core.compiling import kernel
 
+_jit = kernel()
+
+_ZERO = np.int64(0)  # a plain 0 is a type of its own: what it is passed to, compiled twice
 _DEGENERATE = 1e-20  # of scaled squares: these vectors have no direction
 
 
@@ -26,7 +28,7 @@ def find_surroundings(i, radius, most, grid, found, squared):  # type: ignore[no
     num_x, num_y = int(shape[4]), int(shape[5])
     a, b = int((x - shape[0]) / shape[3]), int((y - shape[1]) / shape[3])
     level = int((z - shape[2]) / shape[3])
-    num, limit = 0, radius * radius
+    num, limit = _ZERO, radius * radius
     for near_a in range(max(a - 1, 0), min(a + 2, num_x)):
         for near_b in range(max(b - 1, 0), min(b + 2, num_y)):
             column = near_a * num_y + near_b
@@ -48,7 +50,7 @@ def _keep_nearest(found, squared, num, most):  # type: ignore[no-untyped-def]
     """Move the `most` nearest of `num` to the beginning, of equally near ones the first."""
     if most == 0:
         return 0
-    limit = np.partition(squared[:num], most - 1)[most - 1]
+    limit = _select(squared[:num].copy(), most - 1)
     surplus = most
     for k in range(num):
         surplus -= squared[k] < limit
@@ -60,6 +62,31 @@ def _keep_nearest(found, squared, num, most):  # type: ignore[no-untyped-def]
             found[kept], squared[kept] = found[k], squared[k]
             kept += 1
     return kept
+
+
+@_jit
+def _select(values, k):  # type: ignore[no-untyped-def]
+    """What stands at place k of the values once sorted; they are reordered. numba's own takes seconds to compile."""
+    low, high = 0, len(values) - 1
+    while low < high:
+        a, b, c = values[low], values[(low + high) >> 1], values[high]
+        pivot = max(min(a, b), min(max(a, b), c))
+        i, j = low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while pivot < values[j]:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i, j = i + 1, j - 1
+        if k <= j:
+            high = j
+        elif k >= i:
+            low = i
+        else:
+            break
+    return values[k]
 
 
 @_jit

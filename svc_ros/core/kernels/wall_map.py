@@ -6,9 +6,10 @@ Maps are square and go around: what leaves on one side comes in on the other.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-_jit = njit(nogil=True, cache=True, error_model="numpy")
+from svc_ros.core.compiling import kernel
+
+_jit = kernel()
 
 
 @_jit

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from svc_ros.core.compiling import kernel
 from svc_ros.core.errors import UnsupportedCloudError
 
 _MOST_EXPANSION = 88  # three bytes stand for 264 at most
@@ -23,7 +23,7 @@ def lzf_decompress(packed: NDArray[np.uint8], num_bytes: int) -> NDArray[np.uint
     return out
 
 
-@njit(nogil=True, cache=True)
+@kernel(error_model="python")
 def _expand(packed: NDArray[np.uint8], out: NDArray[np.uint8]) -> int:
     """Return the bytes written, -1 where the stream reaches beyond either array."""
     i, o = 0, 0
