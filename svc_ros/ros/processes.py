@@ -48,6 +48,11 @@ class ChildProcess:
             self._file.close()
 
     @property
+    def pid(self) -> int | None:
+        """Its number, None before it was started."""
+        return None if self._process is None else self._process.pid
+
+    @property
     def exit_code(self) -> int | None:
         """Exit code, None while it runs."""
         return None if self._process is None else self._process.poll()

@@ -54,8 +54,8 @@ class NodeBench:
 
     def __enter__(self: Self) -> Self:
         self.process.__enter__()
-        started = self.wait_for_subscribers(30.0)
-        ready = started and spin_until(self.executor, lambda: "ready:" in self.process.output(), 60.0)
+        started = self.wait_for_subscribers(300.0)
+        ready = started and spin_until(self.executor, lambda: "ready:" in self.process.output(), 300.0)
         if not ready:
             self.__exit__()
         assert ready, self.process.output()
@@ -81,9 +81,9 @@ class NodeBench:
     def call(self, service_type, name: str, request):
         """The node's answer to a service call."""
         client = self.node.create_client(service_type, f"/svc_registration/{name}")
-        assert client.wait_for_service(timeout_sec=10.0)
+        assert client.wait_for_service(timeout_sec=300.0)
         future = client.call_async(request)
-        assert spin_until(self.executor, future.done, 20.0)
+        assert spin_until(self.executor, future.done, 300.0)
         self.node.destroy_client(client)
         return future.result()
 
@@ -177,7 +177,7 @@ class Host:
         client = self.node.create_client(service_type, name)
         assert spin_until(self.executor, client.service_is_ready, 10.0)
         future = client.call_async(request)
-        assert spin_until(self.executor, future.done, 20.0)
+        assert spin_until(self.executor, future.done, 300.0)
         self.node.destroy_client(client)
         return future.result()
 

@@ -29,6 +29,7 @@ from svc_ros.ros.topics.poses import PoseBuffer
 _KEPT_GUESSES, _KEPT_ODOMETRY = 16, 1000
 _RELIABLE = QoSProfile(depth=10)
 _ODOMETRY_DEPTH = QoSProfile(depth=100)
+_DEPTH_OF_EVERY = 100  # with `process_every`: clouds that the middleware keeps while the executor has no time for them
 
 CLOUD_INPUTS: dict[str, dict[str, bool]] = {  # of each mode: name, and whether the mode cannot do without it
     "pair": {"source": True, "target": True},
@@ -88,11 +89,14 @@ class Inputs:
             self._node.destroy_subscription(subscription)
 
     def _subscribe_clouds(self, name: str) -> None:
+        qos = copy.copy(qos_profile_sensor_data)
+        if self._parameters.settings.process_every:
+            qos.depth = _DEPTH_OF_EVERY  # of more than 5 at once the middleware would lose the oldest, uncounted
         if name == "points":
-            self._subscribe(PointCloud2, "points", self._on_scan, qos_profile_sensor_data)
+            self._subscribe(PointCloud2, "points", self._on_scan, qos)
         else:
             on_cloud = functools.partial(self._on_cloud, "source" if name == "source" else "target")
-            self._subscribe(PointCloud2, f"{name}_points", on_cloud, qos_profile_sensor_data)
+            self._subscribe(PointCloud2, f"{name}_points", on_cloud, qos)
 
     def _subscribe(self, kind: Any, topic: str, callback: Callable[[Any], None], qos: QoSProfile) -> None:
         def on_incompatible(info: QoSRequestedIncompatibleQoSInfo) -> None:
