@@ -5,6 +5,7 @@
 # A sourced ROS brings its own rclpy; the environment is then made another way (tools/setup.sh).
 MODE := $(if $(ROS_DISTRO)$(AMENT_PREFIX_PATH),apt,wheels)
 PY := .venv/bin/python
+WORKERS ?= 2 # processes that run tests side by side; the tests of one file stay together
 STAMP := .venv/.ready-$(MODE)
 BENCHMARKS := $(sort $(wildcard benchmarks/*.py))
 
@@ -34,7 +35,7 @@ type: setup
 	$(PY) -m mypy
 
 test: setup
-	$(PY) -m pytest -m "not slow"
+	$(PY) -m pytest -m "not slow" -n $(WORKERS) --dist loadfile
 
 test-slow: setup
 	$(PY) -m pytest -m slow

@@ -2,19 +2,42 @@
 
 from __future__ import annotations
 
+import fcntl
+import functools
 import os
 import signal
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import IO
 
 _DOMAINS = 101  # higher numbers collide with the ports that Linux gives out
+_reservations: list[IO[str]] = []
 
 
+@functools.cache
 def own_domain_id(salt: int = 0) -> int:
-    """A ROS_DOMAIN_ID that other runs on this machine are unlikely to have."""
-    return 1 + (os.getpid() * 7 + salt) % _DOMAINS
+    """A ROS_DOMAIN_ID for each salt, which no other process that asks here has until this one ends.
+
+    Processes of one user keep out of each other's way by locks on files in the temporary folder. Where all are taken,
+    or none can be locked, it is one that others are unlikely to have.
+    """
+    wanted = (os.getpid() * 7 + salt) % _DOMAINS
+    domains = [1 + (wanted + k) % _DOMAINS for k in range(_DOMAINS)]
+    return next(filter(_reserve, domains), domains[0])
+
+
+def _reserve(domain_id: int) -> bool:
+    """Take the domain for this process, unless another one has it."""
+    try:
+        path = Path(tempfile.gettempdir(), f"svc_ros-{os.getuid()}-domain-{domain_id}.lock")
+        file = path.open("a")
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    _reservations.append(file)  # the lock goes with the file
+    return True
 
 
 def local_environment(domain_id: int) -> dict[str, str]:
