@@ -1,8 +1,10 @@
 """How long until it answers? The command line's help, and the node's word that it is ready, each in a new process.
 
+And what the very first start adds: how many kernels it compiles, and the processor's time for them.
+
     python benchmarks/cold_start.py [--rounds N] [--out DIR]
 
-Compiled kernels are in their cache: everything is started once before it is timed. Writes the section `cold_start`
+Else compiled kernels are in their cache: everything is started once before it is timed. Writes the section `cold_start`
 of latest.json.
 """
 
@@ -10,6 +12,9 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import os
+import re
+import resource
 import subprocess
 import sys
 import tempfile
@@ -25,6 +30,7 @@ from lib.latest import record
 from svc_ros.ros.processes import ChildProcess, local_environment, own_domain_id
 
 HELP = [sys.executable, "-m", "svc_ros", "register", "--help"]
+COMPILE = [sys.executable, "-m", "svc_ros.ros.compile_kernels"]
 READY, GIVE_UP_S = "ready:", 120.0
 
 
@@ -40,6 +46,7 @@ def main() -> None:
     values["register_help_s"] = repeat(start_help, options.rounds)
     has_ros = importlib.util.find_spec("rclpy") is not None
     values["node_ready_s"] = repeat(start_node, options.rounds) if has_ros else None
+    values |= compile_all()
     for name, value in values.items():
         console.print(f"cold_start.{name} = {value if value is None else f'{value:.3g}'}")
     record(options.out, "cold_start", run, {"cold_start": values})
@@ -56,6 +63,23 @@ def start_help() -> float:
     begin = time.perf_counter()
     subprocess.run(HELP, cwd=PROJECT_ROOT, capture_output=True, check=True)
     return time.perf_counter() - begin
+
+
+def compile_all() -> dict[str, float]:
+    """Kernels that a start with an empty cache compiles, and seconds of a processor that it takes over one with all."""
+    with tempfile.TemporaryDirectory() as folder:
+        environment = {**os.environ, "NUMBA_CACHE_DIR": folder}
+        seconds, told = [], []
+        for _ in range(2):
+            before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+            done = subprocess.run(
+                COMPILE, cwd=PROJECT_ROOT, env=environment, stderr=subprocess.PIPE, text=True, check=True
+            )
+            seconds.append(resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before)
+            told.append(re.findall(r"^compiled (\d+) kernels", done.stderr, re.MULTILINE))
+    if len(told[0]) != 1 or told[1]:
+        sys.exit(f"expected the first start to compile and the second not to, found {told}")
+    return {"compiled_kernels": int(told[0][0]), "compile_cpu_s": seconds[0] - seconds[1]}
 
 
 def start_node() -> float:

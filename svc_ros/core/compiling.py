@@ -179,13 +179,17 @@ def told(say: Callable[[str], None]) -> Iterator[None]:
 
 def opening(state: Compiling) -> str:
     """The line before the first kernel."""
-    how_long = f"compiling {state.num_expected} kernels for this machine, {_span(state.seconds_left)}"
+    how_long = f"compiling {_kernels_of(state.num_expected)} for this machine, {_span(state.seconds_left)}"
     return f"{how_long}, once" if state.is_kept else f"{how_long}, {_NOT_KEPT}"
 
 
 def closing(state: Compiling) -> str:
     """The line after the last one."""
-    return f"compiled {state.num_done} kernels in {state.seconds:.0f} s"
+    return f"compiled {_kernels_of(state.num_done)} in {state.seconds:.0f} s"
+
+
+def _kernels_of(num: int) -> str:
+    return f"{num} kernel{'' if num == 1 else 's'}"
 
 
 def _span(seconds: float) -> str:
