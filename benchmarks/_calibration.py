@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _common import console, print_table
+from _common import print_table
 from _evidence import Row
+from _figures import new_figure, write_figure
 from _rules import Answer
 from _sensors import sensor_of, sensors_of
 
@@ -43,11 +44,7 @@ def show(calibration: Mapping[str, Any]) -> None:
 
 def draw(calibration: Mapping[str, Any], path: Path) -> None:
     """Reliability diagram: how many are right over what was said; numbers beside the dots are of answers."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5.6, 5.2), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(5.6, 5.2)
     axes = figure.add_subplot()
     axes.plot([0, 1], [0, 1], color="0.6", linewidth=1)
     for name, bins in calibration["reliability"].items():
@@ -62,5 +59,4 @@ def draw(calibration: Mapping[str, Any], path: Path) -> None:
     axes.set_title("Answers on sensors that were left out of the fit", fontsize=10)
     axes.grid(alpha=0.3)
     axes.legend(loc="upper left", fontsize=8, frameon=False)
-    figure.savefig(path, dpi=130)
-    console.print(f"wrote {path}")
+    write_figure(figure, path)
