@@ -15,9 +15,10 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from svc_ros.core.errors import MissingDependencyError
+from svc_ros.io.results import UNKNOWN_COVARIANCE
 from svc_ros.io.stamps import ns_from_stamp, text_from_ns
 from svc_ros.ros.conversions import header, plain_pose
-from svc_ros.ros.decision import UNKNOWN_COVARIANCE, Decision
+from svc_ros.ros.decision import Decision
 
 _NEEDS = "edges:={} needs {} ({})"
 _LOOP, _REJECTED_LOOP = 1, 3  # types of a PoseGraphEdge
