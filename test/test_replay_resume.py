@@ -15,6 +15,7 @@ from replay_cases import (
     StopAfter,
     job,
     read_decisions,
+    replay_in_all_modes,
     timeless_lines,
     write_reference,
     write_room_bag,
@@ -23,7 +24,6 @@ from replay_cases import (
 from svc_ros.core.config import with_values
 from svc_ros.core.errors import InputError
 from svc_ros.evaluation import replay_run
-from svc_ros.evaluation.replay_job import MODES
 from svc_ros.evaluation.replay_run import replay_bag
 from svc_ros.io.bags import Bag
 from svc_ros.pipeline import loop_closure, replay, replay_known
@@ -39,10 +39,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def whole(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Uninterrupted runs."""
-    folder = tmp_path_factory.mktemp("whole")
-    for mode in MODES:
-        replay_bag(job(bag, folder / mode, mode, reference=write_reference(folder / "reference.txt")))
-    return {mode: folder / mode for mode in MODES}
+    return replay_in_all_modes(bag, tmp_path_factory.mktemp("whole"))
 
 
 def counts(path: Path) -> dict[str, int]:
