@@ -24,6 +24,7 @@ import numpy as np
 from lib.cases import choose_sets
 from lib.common import Dataset, console, describe_run, parse_options, print_table, read_datasets
 from lib.contenders import CONTENDERS, Call, RawPair, missing
+from lib.figures import new_figure, write_figure
 from lib.latest import record
 from lib.pairs import choose
 from lib.timing import rotated, time_once_ms
@@ -191,11 +192,7 @@ def flat(row: Row) -> dict[str, Any]:
 
 def draw(sections: Mapping[str, Mapping[str, Any]], methods: Sequence[str], path: Path) -> None:
     """Median times by set, a group of bars for each method."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10.0, 4.0), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(10.0, 4.0)
     axes = figure.add_subplot()
     names = list(sections[methods[0]]["by_set"])
     width = 0.8 / len(names)
@@ -206,8 +203,7 @@ def draw(sections: Mapping[str, Mapping[str, Any]], methods: Sequence[str], path
     axes.set_xticks(np.arange(len(methods)) + 0.5 * width * (len(names) - 1), methods)
     axes.set(yscale="log", ylabel="median time of a pair [ms]", title="From raw points to the answer")
     axes.legend(frameon=False)
-    figure.savefig(path, dpi=130)
-    console.print(f"wrote {path}")
+    write_figure(figure, path)
 
 
 def _of(rows: Sequence[Row], dataset: str) -> list[Row]:

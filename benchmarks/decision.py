@@ -34,6 +34,7 @@ from lib.common import (
     write_report,
 )
 from lib.evidence import Row, check_against_verify, gather
+from lib.figures import new_figure, write_figure
 
 from svc_ros.core.config import preset
 from svc_ros.evaluation.metrics import LabelledDecision, decision_metrics
@@ -198,11 +199,7 @@ def _at_least(value: float | None) -> str | None:
 
 def draw_risk_coverage(rows: Sequence[Row], answers: Answers, path: Path) -> None:
     """Wrong poses among the accepted over the share of right poses accepted, as the threshold on the score falls."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8.0, 5.0), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(8.0, 5.0)
     axes = figure.add_subplot()
     correct = np.array([row.correct for row in rows])
     for rule in IN_PICTURE:
@@ -216,8 +213,7 @@ def draw_risk_coverage(rows: Sequence[Row], answers: Answers, path: Path) -> Non
     axes.set(xlabel="share of right poses accepted", ylabel="share of wrong poses among the accepted")
     axes.grid(alpha=0.3)
     axes.legend(loc="upper left", fontsize=8, frameon=False)
-    figure.savefig(path, dpi=130)
-    console.print(f"wrote {path}")
+    write_figure(figure, path)
 
 
 def risk_curve(scores: np.ndarray, correct: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 from lib.common import Dataset, config_of, console, describe_run, parse_options, read_datasets
+from lib.figures import new_figure, write_figure
 from lib.latest import record
 from lib.resident import peak_mb, resident_mb
 
@@ -179,17 +180,12 @@ def message_of(points: Array) -> Any:
 
 def draw(samples: Array, path: Path) -> None:
     """Resident set against pairs."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8.0, 3.5), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(8.0, 3.5)
     axes = figure.add_subplot()
     axes.plot(samples)
     axes.set(xlabel="pairs", ylabel="resident set [MB]", ylim=(0.0, None), title="The node's worker")
     axes.grid(alpha=0.3)
-    figure.savefig(path, dpi=130)
-    console.print(f"wrote {path}")
+    write_figure(figure, path)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from lib.common import Dataset, console, describe_run, parse_options, print_table, spread, write_report
+from lib.common import Dataset, describe_run, parse_options, print_table, spread, write_report
+from lib.figures import new_bars, write_figure
 from lib.pairs import choose
 from lib.paper import add_benchmarks, choose_pairs, config_for, other_sets, read_columns, read_inputs
 
@@ -144,28 +145,20 @@ def rows_of(table: Table) -> list[list[Any]]:
 
 def draw(table: Table, path: Path) -> None:
     """F1 by set, a bar a rule; a line across a bar is what the paper reports on the whole benchmark."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     shown = {title: of_set for title, of_set in table.items() if of_set[BASELINE]["num_correct"]}
-    figure = Figure(figsize=(2.0 + 2.2 * len(shown), 4.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    for k, rule in enumerate(RULES):
-        places = np.arange(len(shown)) + 0.27 * (k - 1)
-        axes.bar(places, [of_set[rule]["f1"] or 0.0 for of_set in shown.values()], 0.25, label=rule)
-        for place, title in zip(places, shown, strict=True):
-            published = PUBLISHED.get(title.partition(":")[0], {}).get(rule)
-            if published is not None:
-                axes.plot([place - 0.12, place + 0.12], [0.01 * published[2]] * 2, color="black", linewidth=2.0)
+    bars = [
+        {rule: (of_set[rule]["f1"] or 0.0, _published_f1(title, rule)) for rule in RULES}
+        for title, of_set in shown.items()
+    ]
     numbers = [of_set[BASELINE]["num_poses"] for of_set in shown.values()]
     labels = [f"{title.replace(': ', chr(10))}\n{num} poses" for title, num in zip(shown, numbers, strict=True)]
-    axes.set_xticks(range(len(shown)), labels)
-    axes.set(ylim=(0.0, 1.05), ylabel="F1", title="Table 5; black lines: the paper, on the whole benchmark")
-    axes.grid(axis="y", alpha=0.3)
-    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
-    figure.savefig(path, dpi=130)
-    console.print(f"wrote {path}")
+    told = {"ylim": (0.0, 1.05), "ylabel": "F1", "title": "Table 5; black lines: the paper, on the whole benchmark"}
+    write_figure(new_bars(labels, RULES, bars, 2.2, **told), path)
+
+
+def _published_f1(title: str, rule: str) -> float | None:
+    published = PUBLISHED.get(title.partition(":")[0], {}).get(rule)
+    return None if published is None else 0.01 * published[2]
 
 
 def _percent(share: float | None) -> float | None:

@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from lib.common import config_of, console, describe_run, parse_options, print_table, spread, write_report
+from lib.common import config_of, describe_run, parse_options, print_table, spread, write_report
+from lib.figures import new_figure, write_figure
 from lib.paper import Column, add_benchmarks, choose_pairs, other_sets, read_columns, read_inputs
 
 from svc_ros.core.config import with_values
@@ -98,11 +99,7 @@ def summarise(num: int, results: Sequence[tuple[PairOutcome, float]]) -> Point:
 
 def draw(table: Mapping[str, Mapping[str, Sequence[Point]]], path: Path) -> None:
     """Time on the left (Fig. 4b), recall on the right (Fig. 5)."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12.0, 4.8), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(12.0, 4.8)
     panels = figure.subplots(1, 2)
     keys = (("time_ms_mean", "mean time [ms]", "Figure 4b"), ("recall_percent", "registration recall [%]", "Figure 5"))
     for axes, (key, label, title) in zip(panels, keys, strict=True):
@@ -117,8 +114,7 @@ def draw(table: Mapping[str, Mapping[str, Sequence[Point]]], path: Path) -> None
     panels[0].set_yscale("log")
     panels[1].set_ylim(0.0, 105.0)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=7)
-    figure.savefig(path, dpi=130)
-    console.print(f"wrote {path}")
+    write_figure(figure, path)
 
 
 def _percent(flags: Sequence[bool]) -> float | None:

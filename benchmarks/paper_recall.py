@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from lib.common import config_of, console, describe_run, parse_options, print_table, write_report
+from lib.figures import new_bars, write_figure
 from lib.paper import METHODS, PUBLISHED, Column, add_benchmarks, choose_pairs, read_columns
 from rich.progress import Progress
 
@@ -97,28 +98,15 @@ def rows_of(table: Table) -> list[list[Any]]:
 
 def draw(table: Table, path: Path) -> None:
     """Recall by column, a bar a method; a line across a bar is what the paper reports on the whole benchmark."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(2.0 + 2.6 * len(table), 4.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    for k, method in enumerate(METHODS):
-        places = np.arange(len(table)) + 0.27 * (k - 1)
-        axes.bar(places, [of[method]["recall_percent"] or 0.0 for of in table.values()], 0.25, label=method)
-        for place, of in zip(places, table.values(), strict=True):
-            published = of[method]["published"]["recall_percent"]
-            if published is not None:
-                axes.plot([place - 0.12, place + 0.12], [published, published], color="black", linewidth=2.0)
+    bars = [
+        {m: (of[m]["recall_percent"] or 0.0, of[m]["published"]["recall_percent"]) for m in METHODS}
+        for of in table.values()
+    ]
     numbers = [of[METHODS[0]]["num_pairs"] for of in table.values()]
     labels = [f"{title.replace(': ', chr(10))}\n{num} pairs" for title, num in zip(table, numbers, strict=True)]
-    axes.set_xticks(range(len(table)), labels)
-    axes.set(ylim=(0.0, 105.0), ylabel="registration recall [%]")
-    axes.set_title("Tables 1 to 3; black lines: the paper, on the whole benchmark")
-    axes.grid(axis="y", alpha=0.3)
-    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
-    figure.savefig(path, dpi=130)
-    console.print(f"wrote {path}")
+    title = "Tables 1 to 3; black lines: the paper, on the whole benchmark"
+    told = {"ylim": (0.0, 105.0), "ylabel": "registration recall [%]", "title": title}
+    write_figure(new_bars(labels, METHODS, bars, 2.6, **told), path)
 
 
 def _percent(part: int, whole: int) -> float | None:

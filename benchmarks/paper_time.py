@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from lib.cases import read_case
 from lib.checks import OURS, PAPER, PAPER_TWIN, TWIN, compare_checks
-from lib.common import console, describe_run, parse_options, print_table, write_report
+from lib.common import describe_run, parse_options, print_table, write_report
+from lib.figures import new_figure, write_figure
 from lib.paper import other_sets
 from lib.timing import exponent
 
@@ -60,11 +61,7 @@ def average(curves: Mapping[str, Mapping[str, Any]], numbers: list[int]) -> dict
 
 def draw(means: Mapping[str, Mapping[str, Any]], path: Path) -> None:
     """Time over points, linear axes as in the paper."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.0, 4.5), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(7.0, 4.5)
     axes = figure.add_subplot()
     for name, values in means.items():
         style = "s:" if name in (TWIN, PAPER_TWIN) else "o-"
@@ -73,8 +70,7 @@ def draw(means: Mapping[str, Mapping[str, Any]], path: Path) -> None:
     axes.set(xlabel="points of each scan", ylabel="time of one check [ms]", title="Figure 4a", ylim=(0.0, None))
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8)
-    figure.savefig(path, dpi=130)
-    console.print(f"wrote {path}")
+    write_figure(figure, path)
 
 
 if __name__ == "__main__":

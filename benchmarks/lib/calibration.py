@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from lib.common import console, print_table
+from lib.common import print_table
 from lib.evidence import Row
+from lib.figures import new_figure, write_figure
 from lib.rules import Answer
 from lib.sensors import sensor_of, sensors_of
 from svc_ros.evaluation.calibration.claims import expected_calibration_error, reliability_bins
@@ -43,11 +44,7 @@ def show(calibration: Mapping[str, Any]) -> None:
 
 def draw(calibration: Mapping[str, Any], path: Path) -> None:
     """Reliability diagram: how many are right over what was said; numbers beside the dots are of answers."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5.6, 5.2), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(5.6, 5.2)
     axes = figure.add_subplot()
     axes.plot([0, 1], [0, 1], color="0.6", linewidth=1)
     for name, bins in calibration["reliability"].items():
@@ -62,5 +59,4 @@ def draw(calibration: Mapping[str, Any], path: Path) -> None:
     axes.set_title("Answers on sensors that were left out of the fit", fontsize=10)
     axes.grid(alpha=0.3)
     axes.legend(loc="upper left", fontsize=8, frameon=False)
-    figure.savefig(path, dpi=130)
-    console.print(f"wrote {path}")
+    write_figure(figure, path)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from lib.common import console
+from lib.figures import new_figure, write_figure
 from lib.tally import Row, by_overlap, count, grouped, methods_of, of_method
 
 Counts = Mapping[str, Mapping[str, int]]
@@ -17,13 +17,9 @@ Counts = Mapping[str, Mapping[str, int]]
 
 def draw(rows: Sequence[Row], path: Path) -> None:
     """A group of bars for each bin of overlap, and below for each kind of sensor; a colour for each method."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     methods = methods_of(rows)
     sensors = grouped((row for row in rows if not row["negative"]), "sensor")
-    figure = Figure(figsize=(13.0, 8.5), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(13.0, 8.5)
     above, below = figure.subplots(2, 1)
     draw_groups(above, {method: by_overlap(of_method(rows, method)) for method in methods})
     draw_groups(below, {m: {name: count(of_method(r, m)) for name, r in sensors.items()} for m in methods})
@@ -31,8 +27,7 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     above.set(xlabel="overlap", title=title)
     below.set(xlabel="sensor")
     above.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=9, frameon=False)
-    figure.savefig(path, dpi=110)
-    console.print(f"wrote {path}")
+    write_figure(figure, path, dpi=110)
 
 
 def draw_groups(axes: Any, tables: Mapping[str, Counts]) -> None:

@@ -6,16 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from lib.common import console
+from lib.figures import new_figure, write_figure
 
 
 def draw(tables: Mapping[str, Mapping[str, Any]], checks: Mapping[str, Any], path: Path) -> None:
     """A panel for every table of stages, and one for the sight-view check beside its twins; axes are logarithmic."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12.0, 9.0), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(12.0, 9.0)
     panels = figure.subplots(2, 2).ravel()
     for axes, (name, table) in zip(panels, tables.items(), strict=False):
         for stage, values in table.items():
@@ -27,8 +23,7 @@ def draw(tables: Mapping[str, Mapping[str, Any]], checks: Mapping[str, Any], pat
         axes.set(ylabel="median time [ms]")
         axes.grid(which="both", alpha=0.25)
         axes.legend(fontsize=7)
-    figure.savefig(path, dpi=130)
-    console.print(f"wrote {path}")
+    write_figure(figure, path)
 
 
 def _draw_checks(axes: Any, checks: Mapping[str, Any]) -> None:

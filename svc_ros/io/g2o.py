@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from svc_ros.core import se3
 from svc_ros.core.errors import InputError
 from svc_ros.core.scan import Array, frozen_array
-from svc_ros.io.pose_text import parse_numbers, pose_from_values, text_of_numbers
+from svc_ros.io.pose_text import parse_numbers, placed_lines, pose_from_values, text_of_numbers
 
 _VERTEX, _EDGE, _FIX = "VERTEX_SE3:QUAT", "EDGE_SE3:QUAT", "FIX"
 _NUM_VALUES = {_VERTEX: 8, _EDGE: 30, _FIX: 1}
@@ -119,13 +119,8 @@ def adjoint(T: Array) -> Array:
 
 def _elements(path: str | Path) -> Iterator[tuple[str, str, Array]]:
     """Yield (file:line, element, its values)."""
-    try:
-        text = Path(path).read_text("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        cause = getattr(error, "strerror", None) or "it is not a text file"
-        raise InputError(f"{path}: cannot be read as a pose graph: {cause}") from None
-    for number, line in enumerate(text.splitlines(), 1):
-        words, place = line.partition("#")[0].split(), f"{path}:{number}"
+    for place, line in placed_lines(path, " as a pose graph"):
+        words = line.partition("#")[0].split()
         if not words:
             continue
         expected = _NUM_VALUES.get(words[0])

@@ -1,17 +1,29 @@
-"""Numbers and poses as words of a text file, whichever format it has."""
+"""Lines of a text file, and numbers and poses as words of it, whichever format it has."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from svc_ros.core.errors import InputError
 from svc_ros.core.scan import Array
-from svc_ros.core.se3 import make_pose
+from svc_ros.core.se3 import check_pose, make_pose, nearest_pose
 
 _UNIT_TOLERANCE = 1e-3  # of a quaternion's length; files print three digits and more
+
+
+def placed_lines(path: str | Path, as_what: str = "") -> list[tuple[str, str]]:
+    """(file:line, text) of every line. Raises InputError naming the file; as_what: added to what it says."""
+    try:
+        text = Path(path).read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        cause = getattr(error, "strerror", None) or "it is not a text file"
+        raise InputError(f"{path}: cannot be read{as_what}: {cause}") from None
+    return [(f"{path}:{number}", line) for number, line in enumerate(text.splitlines(), 1)]
 
 
 def parse_numbers(words: list[str], place: str) -> Array:
@@ -23,6 +35,17 @@ def parse_numbers(words: list[str], place: str) -> Array:
     if not np.isfinite(values).all():
         raise InputError(f"{place}: expected finite numbers, found {' '.join(words):.120}")
     return values
+
+
+def pose_from_matrix(numbers: ArrayLike, place: str) -> Array:
+    """Pose (4, 4) of a 4x4 matrix, or of the 12 numbers of a 3x4 one; what rounding to text did to it is undone.
+
+    Raises InputError, beginning with `place`, for what is no rigid motion.
+    """
+    matrix = np.asarray(numbers)
+    if matrix.size == 12:
+        matrix = np.vstack([matrix.reshape(3, 4), (0.0, 0.0, 0.0, 1.0)])
+    return nearest_pose(check_pose(matrix, place))
 
 
 def pose_from_values(values: Array, place: str) -> Array:

@@ -21,6 +21,8 @@ from svc_ros.core.scan import Array
 from svc_ros.core.sight.evidence import SeenSurface, SightLines, SightViewEvidence, no_surface
 from svc_ros.io.stamps import text_from_ns
 
+# Of an accepted pose whose method gives none: 1 m and 10 deg, so that nobody takes it for certain.
+UNKNOWN_COVARIANCE = np.diag([1.0] * 3 + [np.deg2rad(10.0) ** 2] * 3)
 _Code = TypeVar("_Code", bound=Enum)
 _LATER_RATIOS = ("constraint_ratio", "weakest_constraint", "tight_ratio")  # not in every file of decisions
 

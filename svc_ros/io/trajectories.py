@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from svc_ros.core.errors import InputError, TransformUnavailableError
 from svc_ros.core.scan import IndexArray, frozen_array
-from svc_ros.core.se3 import Array, check_pose, nearest_pose
-from svc_ros.io.pose_text import parse_numbers, pose_from_values, text_of_numbers
+from svc_ros.core.se3 import Array
+from svc_ros.io.pose_text import parse_numbers, placed_lines, pose_from_matrix, pose_from_values, text_of_numbers
 from svc_ros.io.stamps import ns_from_text, text_from_ns
 from svc_ros.io.transforms import interpolate_poses
 
@@ -102,8 +102,7 @@ def read_kitti(path: str | Path) -> Array:
     """
     poses = []
     for place, words in _lines(path, 12, "the 12 numbers of a 3x4 matrix"):
-        T = np.vstack([parse_numbers(words, place).reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
-        poses.append(nearest_pose(check_pose(T, place)))
+        poses.append(pose_from_matrix(parse_numbers(words, place), place))
     return np.stack(poses)
 
 
@@ -115,20 +114,15 @@ def write_kitti(path: str | Path, poses: Array) -> None:
 
 def _lines(path: str | Path, num_words: int, form: str) -> Iterator[tuple[str, list[str]]]:
     """Yield (file:line, words) of every line that holds data."""
-    try:
-        text = Path(path).read_text("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        cause = getattr(error, "strerror", None) or "it is not a text file"
-        raise InputError(f"{path}: cannot be read as a trajectory: {cause}") from None
     found = False
-    for number, line in enumerate(text.splitlines(), 1):
+    for place, line in placed_lines(path, " as a trajectory"):
         words = line.partition("#")[0].split()
         if not words:
             continue
         if len(words) != num_words:
-            raise InputError(f"{path}:{number}: expected {form}, found {len(words)} values")
+            raise InputError(f"{place}: expected {form}, found {len(words)} values")
         found = True
-        yield f"{path}:{number}", words
+        yield place, words
     if not found:
         raise InputError(f"{path}: expected lines of {form}, found none")
 

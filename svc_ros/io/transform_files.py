@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from svc_ros.core.errors import InputError
-from svc_ros.core.se3 import Array, check_pose, nearest_pose
+from svc_ros.core.scan import Array
+from svc_ros.io.pose_text import pose_from_matrix
 
 _JSON_KEYS = ("T_target_source", "best_candidate")
 
@@ -28,7 +29,7 @@ def read_transform(path: str | Path) -> Array:
     if not path.is_file():
         raise InputError(f"{path}: transform file not found")
     numbers = _read_npy(path) if path.suffix.lower() == ".npy" else _read_text(path)
-    return nearest_pose(check_pose(_as_matrix(numbers, path), str(path)))
+    return pose_from_matrix(_as_matrix(numbers, path), str(path))
 
 
 def _read_npy(path: Path) -> ArrayLike:
@@ -72,6 +73,4 @@ def _as_matrix(numbers: ArrayLike, path: Path) -> Array:
     flat = np.asarray(numbers, np.float64).ravel()
     if len(flat) not in (12, 16):
         raise InputError(f"{path}: expected 16 numbers (4x4) or 12 (3x4), found {len(flat)}")
-    if len(flat) == 12:
-        return np.vstack([flat.reshape(3, 4), (0.0, 0.0, 0.0, 1.0)])
-    return flat.reshape(4, 4)
+    return flat.reshape(-1, 4)

@@ -17,13 +17,13 @@ from svc_ros.core import se3
 from svc_ros.core.config import Config
 from svc_ros.core.errors import ConfigError, MissingDependencyError
 from svc_ros.core.registration import prepare, verify
-from svc_ros.core.result import Reason, RegistrationResult
+from svc_ros.core.result import RegistrationResult
 from svc_ros.core.scan import Array, Scan
 from svc_ros.io.trajectories import Trajectory
 from svc_ros.pipeline.decide import refused, register_pair
 from svc_ros.pipeline.keyframes import Keyframe, KeyframeStore
 from svc_ros.pipeline.place import compare_places
-from svc_ros.pipeline.stream import StampOrder, StreamDecision, demand, drop_scan, refuse_scan
+from svc_ros.pipeline.stream import StampOrder, StreamDecision, decide_in_order, demand
 
 Judge = Callable[[Keyframe, Keyframe, Array | None, Config], RegistrationResult]
 
@@ -78,17 +78,10 @@ class LoopCloser:
         T_odom_scan: (4, 4), where odometry says that the scan's frame stands; None where it says nothing. A scan that
         cannot be used is one decision that says why. Raises ConfigError and MissingDependencyError only.
         """
-        if self._order.is_jump(scan.stamp_ns):
-            self.reset()
-        late = self._order.lateness(scan.stamp_ns)
-        if late:
-            return [drop_scan(scan.stamp_ns, scan.frame_id, Reason.STALE, late)]
-        try:
+        def close(scan: Scan) -> list[StreamDecision]:
             return self._close(scan, None if T_odom_scan is None else se3.check_pose(T_odom_scan, "T_odom_scan"))
-        except (ConfigError, MissingDependencyError):
-            raise
-        except Exception as error:
-            return [refuse_scan(scan.stamp_ns, scan.frame_id, error, self._config)]
+
+        return decide_in_order(scan, self._order, self._config, self.reset, close)
 
     def _close(self, scan: Scan, T_odom_scan: Array | None) -> list[StreamDecision]:
         # Only a scan that shows something new becomes a keyframe.

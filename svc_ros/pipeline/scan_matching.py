@@ -13,7 +13,7 @@ import numpy as np
 
 from svc_ros.core import se3
 from svc_ros.core.config import Config
-from svc_ros.core.errors import ConfigError, InputError, MissingDependencyError
+from svc_ros.core.errors import InputError
 from svc_ros.core.registration import prepare, verify
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import PreparedScan, Scan
@@ -22,7 +22,7 @@ from svc_ros.pipeline.decide import register_pair
 from svc_ros.pipeline.keyframes import Keyframe, KeyframeStore
 from svc_ros.pipeline.motion import KissMotion, Motion
 from svc_ros.pipeline.place import compare_places
-from svc_ros.pipeline.stream import StampOrder, StreamDecision, demand, drop_scan, leave_undecided, refuse_scan
+from svc_ros.pipeline.stream import StampOrder, StreamDecision, decide_in_order, demand, leave_undecided
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,17 +66,7 @@ class ScanMatcher:
         Raises ConfigError and MissingDependencyError only. A stamp far back in time starts everything anew, a smaller
         step back is `dropped` as stale.
         """
-        if self._order.is_jump(scan.stamp_ns):
-            self.reset()
-        late = self._order.lateness(scan.stamp_ns)
-        if late:
-            return [drop_scan(scan.stamp_ns, scan.frame_id, Reason.STALE, late)]
-        try:
-            return [self._decide(scan)]
-        except (ConfigError, MissingDependencyError):
-            raise
-        except Exception as error:
-            return [refuse_scan(scan.stamp_ns, scan.frame_id, error, self._config)]
+        return decide_in_order(scan, self._order, self._config, self.reset, lambda scan: [self._decide(scan)])
 
     def _decide(self, scan: Scan) -> StreamDecision:
         current = self._current

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from svc_ros.core.config import Config
+from svc_ros.core.errors import ConfigError, MissingDependencyError
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
-from svc_ros.core.scan import Array, PreparedScan
+from svc_ros.core.scan import Array, PreparedScan, Scan
 from svc_ros.pipeline.decide import dropped, refused
 
 _MAX_LATE_NS = 1_000_000_000  # no transport disorders scans by more; what is farther back is a jump in time
@@ -88,3 +90,27 @@ class StampOrder:
     def clear(self) -> None:
         """Forget all stamps."""
         self._last_ns = None
+
+
+def decide_in_order(
+    scan: Scan,
+    order: StampOrder,
+    config: Config,
+    reset: Callable[[], None],
+    decide: Callable[[Scan], list[StreamDecision]],
+) -> list[StreamDecision]:
+    """Decide on a stream's next scan: after a reset where time starts anew, and not at all where it comes too late.
+
+    A scan that cannot be used is one decision that says why. Raises ConfigError and MissingDependencyError only.
+    """
+    if order.is_jump(scan.stamp_ns):
+        reset()
+    late = order.lateness(scan.stamp_ns)
+    if late:
+        return [drop_scan(scan.stamp_ns, scan.frame_id, Reason.STALE, late)]
+    try:
+        return decide(scan)
+    except (ConfigError, MissingDependencyError):
+        raise
+    except Exception as error:
+        return [refuse_scan(scan.stamp_ns, scan.frame_id, error, config)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import numpy as np
 import pair_list_folders as lists
 import pytest
 import suite_folders as folders
-from mini_data import POSES, pose_between, scan_room, write_dataset
+from mini_data import POSES, pose_between, scan_room, without_times, write_dataset
 from places import PROJECT_ROOT
 from typer.testing import CliRunner
 
@@ -39,15 +38,6 @@ def run(*words: str | Path, code: int = 0) -> str:
 
 def report_of(*words: str | Path) -> dict:
     return json.loads(run(*words, "--json", "-"))
-
-
-def without_times(report: dict) -> dict:
-    report = copy.deepcopy(report)
-    for one in report.get("datasets", [report]):
-        del one["time_ms"]
-        for row in [*one["registration"]["pairs"], *(one["negatives"] or {"pairs": []})["pairs"]]:
-            del row["time_ms"]
-    return report
 
 
 def test_3dmatch_has_both_recalls_and_every_scene(rooms):

@@ -3,11 +3,9 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
-
-PROJECT_ROOT = Path(__file__).resolve().parent.parent
+from places import PROJECT_ROOT
 
 INNER = """
 from svc_ros.core.compiling import kernel

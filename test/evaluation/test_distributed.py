@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import os
 import signal
@@ -34,14 +33,6 @@ def pair_of_workers(tmp_path_factory):
 @pytest.fixture(scope="module")
 def room(tmp_path_factory) -> Path:
     return mini_data.write_dataset(tmp_path_factory.mktemp("evaluation") / "room")
-
-
-def without_times(report: dict) -> dict:
-    report = copy.deepcopy(report)
-    del report["time_ms"]
-    for row in [*report["registration"]["pairs"], *report["negatives"]["pairs"]]:
-        del row["time_ms"]
-    return report
 
 
 def many_pairs(room: Path, times: int) -> Path:
@@ -80,7 +71,7 @@ def test_local_workers_give_the_report_of_the_serial_run(room):
     serial = evaluate_dataset(read_dataset(room), CONFIG)
     crew = partial(run_over, LOCAL, paths=[room])
     spread = evaluate_dataset(read_dataset(room), CONFIG, None, crew, lambda *counts: progress.append(counts))
-    assert without_times(spread) == without_times(serial)
+    assert mini_data.without_times(spread) == mini_data.without_times(serial)
     assert progress == [(k, 5) for k in range(1, 6)]
 
 
@@ -117,7 +108,7 @@ def test_what_a_killed_worker_had_to_do_is_done_by_another(room, tmp_path):
         spread = evaluate_dataset(dataset, CONFIG, None, partial(run_over, found.address), kill_one)
         assert victim.returncode == -signal.SIGKILL
         assert found.workers[1].poll() is None
-    assert without_times(spread) == without_times(serial)
+    assert mini_data.without_times(spread) == mini_data.without_times(serial)
 
 
 def test_a_worker_lost_in_the_middle_of_an_item_loses_nothing(tmp_path):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 from pathlib import Path
 
@@ -29,14 +28,6 @@ def room(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def report(room) -> dict:
     return evaluate_dataset(read_dataset(room), CONFIG)
-
-
-def without_times(report: dict) -> dict:
-    report = copy.deepcopy(report)
-    del report["time_ms"]
-    for row in [*report["registration"]["pairs"], *report["negatives"]["pairs"]]:
-        del row["time_ms"]
-    return report
 
 
 def test_the_report_has_the_keys_that_other_programs_read(report):
@@ -94,7 +85,7 @@ def test_every_stage_has_its_time(report):
 def test_several_processes_give_the_same_report(room, report):
     progress = []
     parallel = evaluate_dataset(read_dataset(room), CONFIG, None, 2, lambda *counts: progress.append(counts))
-    assert without_times(parallel) == without_times(report)
+    assert mini_data.without_times(parallel) == mini_data.without_times(report)
     assert progress == [(k, 5) for k in range(1, 6)]
 
 

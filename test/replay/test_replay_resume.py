@@ -15,6 +15,7 @@ from replay_cases import (
     StopAfter,
     job,
     read_decisions,
+    replay_in_all_modes,
     timeless_lines,
     write_reference,
     write_room_bag,
@@ -27,7 +28,6 @@ from svc_ros.pipeline import loop_closure
 from svc_ros.replay import known as replay_known
 from svc_ros.replay import run as replay_run
 from svc_ros.replay import stream_pairs as replay
-from svc_ros.replay.job import MODES
 from svc_ros.replay.run import replay_bag
 
 MODES_AND_STOPS = [("pair", 4), ("scan_matching", 3), ("loop_closure", 6)]
@@ -41,10 +41,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def whole(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Uninterrupted runs."""
-    folder = tmp_path_factory.mktemp("whole")
-    for mode in MODES:
-        replay_bag(job(bag, folder / mode, mode, reference=write_reference(folder / "reference.txt")))
-    return {mode: folder / mode for mode in MODES}
+    return replay_in_all_modes(bag, tmp_path_factory.mktemp("whole"))
 
 
 def counts(path: Path) -> dict[str, int]:

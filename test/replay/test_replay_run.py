@@ -27,6 +27,7 @@ from replay_cases import (
     StopAfter,
     job,
     read_decisions,
+    replay_in_all_modes,
     timeless_lines,
     write_reference,
     write_room_bag,
@@ -55,12 +56,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def runs(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Folders of one replay in each mode, with a reference."""
-    folder = tmp_path_factory.mktemp("out")
-    reference = write_reference(folder / "reference.txt")
-    for mode in MODES:
-        replay_bag(job(bag, folder / mode, mode, reference=reference))
-    return {mode: folder / mode for mode in MODES}
+    return replay_in_all_modes(bag, tmp_path_factory.mktemp("out"))
 
 
 def summary_of(out: Path) -> dict[str, Any]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -97,3 +99,13 @@ def write_dataset(folder: Path) -> Path:
     (folder / "dataset.json").write_text(json.dumps(dataset))
     (folder / "candidates.json").write_text(json.dumps(judged))
     return folder
+
+
+def without_times(report: dict[str, Any]) -> dict[str, Any]:
+    """The report of an evaluation, of one data set or several, without what takes another time in every run."""
+    report = copy.deepcopy(report)
+    for one in report.get("datasets", [report]):
+        del one["time_ms"]
+        for row in [*one["registration"]["pairs"], *(one["negatives"] or {"pairs": []})["pairs"]]:
+            del row["time_ms"]
+    return report

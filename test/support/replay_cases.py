@@ -14,7 +14,8 @@ from svc_ros.core.config import preset, with_values
 from svc_ros.io.bags import CloudBagWriter
 from svc_ros.io.results import read_jsonl
 from svc_ros.io.trajectories import Trajectory, write_tum
-from svc_ros.replay.job import ReplayJob
+from svc_ros.replay.job import MODES, ReplayJob
+from svc_ros.replay.run import replay_bag
 
 CONFIG = with_values(preset("lidar_indoor"), {"loop_closure.min_gap_s": 0.35, "loop_closure.keyframe_distance_m": 0.2})
 START_NS, STEP_NS = 1_700_000_000_123_456_789, 100_000_000
@@ -44,6 +45,14 @@ def write_reference(path: Path) -> Path:
 def job(bag: Path, out: Path, mode: str = "pair", **more: Any) -> ReplayJob:
     """A job of the room's bag without a report, which costs some tenths of a second."""
     return ReplayJob(bag, out, CONFIG, "lidar_indoor", mode, **{"report": False, **more})
+
+
+def replay_in_all_modes(bag: Path, folder: Path) -> dict[str, Path]:
+    """Folders of one replay in each mode, with a reference."""
+    reference = write_reference(folder / "reference.txt")
+    for mode in MODES:
+        replay_bag(job(bag, folder / mode, mode, reference=reference))
+    return {mode: folder / mode for mode in MODES}
 
 
 def timeless_lines(out: Path) -> list[dict[str, Any]]:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from svc_ros.core.compiling import kernel
 from svc_ros.core.kernels.direction import cell_range, fill_bounds
-from svc_ros.core.kernels.placement import turned_dot
+from svc_ros.core.kernels.placement import AT_ONCE, turned_dot
 
 _jit = kernel()
+# For all the compiler knows, arrays that come out of a call may overlap; written out in the caller they do not.
+_into_caller = njit(nogil=True, error_model="numpy", inline="always")
 
-_AT_ONCE = 256
 _ZERO = np.int64(0)  # a plain 0 is a type of its own: what it is passed to, compiled twice
 _HITS = 1024  # lines that pass a point closely are judged so many at a time
 
@@ -35,6 +37,26 @@ def place_alone(T, points, nearest, origin, begin, names, x, y, z):  # type: ign
     return num, end
 
 
+@_into_caller
+def make_batch():  # type: ignore[no-untyped-def]
+    """Room for the points that are looked at together, as place_batch fills it: names, x, y, z, bounds, sizes."""
+    x, y, z, names = np.empty(AT_ONCE), np.empty(AT_ONCE), np.empty(AT_ONCE), np.empty(AT_ONCE + 1, np.int64)
+    return names, x, y, z, np.empty((4, AT_ONCE), np.int32), np.empty((3, AT_ONCE))
+
+
+@_into_caller
+def place_batch(T, points, nearest, origin, begin, reach, grid, batch):  # type: ignore[no-untyped-def]
+    """The next points, as place_alone has them, with the cells of the grid around each: how many, and where to go on.
+
+    reach: beam radius and sine of the largest half angle; bounds, sizes: see fill_bounds.
+    """
+    _, _, _, _, rows, columns = grid
+    names, x, y, z, bounds, sizes = batch
+    num, end = place_alone(T, points, nearest, origin, begin, names, x, y, z)
+    fill_bounds(x[:num], y[:num], z[:num], reach[0], reach[1], float(rows), float(columns), bounds, sizes)
+    return num, end
+
+
 @_jit
 def judge_hits(num_hits, hits, batch, T, normals, limits, grid, found):  # type: ignore[no-untyped-def]
     """Note which lines are observed and which are blocked, of those that pass a point closely.
@@ -42,7 +64,7 @@ def judge_hits(num_hits, hits, batch, T, normals, limits, grid, found):  # type:
     hits: points of the batch and places of lines in the grid; the rest as in find_blockers.
     """
     of_point, of_line = hits
-    names, x, y, z, sizes = batch
+    names, x, y, z, _, sizes = batch
     tolerance, max_tangent = limits[0], limits[3]
     lines, surfaces, order = grid[0], grid[1], grid[2]
     blocker, blocker_range, observed = found
@@ -82,15 +104,14 @@ def find_blockers(T, points, normals, nearest, origin, limits, grid, found):  # 
     plane contains the other point within the tolerance.
     """
     lines, _, _, cell_starts, rows, columns = grid
-    radius, max_sine = limits[1], limits[2]
-    x, y, z, names = np.empty(_AT_ONCE), np.empty(_AT_ONCE), np.empty(_AT_ONCE), np.empty(_AT_ONCE + 1, np.int64)
-    bounds, sizes = np.empty((4, _AT_ONCE), np.int32), np.empty((3, _AT_ONCE))
+    radius, reach = limits[1], (limits[1], limits[2])
+    batch = make_batch()
+    _, x, y, z, bounds, sizes = batch
     of_point, of_line = np.empty(_HITS + 1, np.uint32), np.empty(_HITS + 1, np.uint32)
-    hits, batch = (of_point, of_line), (names, x, y, z, sizes)
+    hits = (of_point, of_line)
     next_point = _ZERO
     while next_point < nearest.shape[0]:
-        num, next_point = place_alone(T, points, nearest, origin, next_point, names, x, y, z)
-        fill_bounds(x[:num], y[:num], z[:num], radius, max_sine, float(rows), float(columns), bounds, sizes)
+        num, next_point = place_batch(T, points, nearest, origin, next_point, reach, grid, batch)
         num_hits = _ZERO
         for k in range(num):
             px, py, pz, sq_p, sq_limit = x[k], y[k], z[k], sizes[0, k], sizes[2, k]
@@ -117,24 +138,21 @@ def find_free_blocked(T, points, normals, nearest, origin, limits, grid, met):  
     angle, smallest range, range of a surface met head on, largest tangent of the incidence angle).
     """
     rays, _, _, cell_starts, rows, columns = grid
-    radius, max_sine, min_range, reach, max_tangent = limits[0], limits[1], limits[2], limits[3], limits[4]
+    radius, reach = limits[0], (limits[0], limits[1])
+    min_range, max_range, max_tangent = limits[2], limits[3], limits[4]
     min_cosine = 1.0 / np.sqrt(1.0 + max_tangent * max_tangent)
-    x, y, z, names = np.empty(_AT_ONCE), np.empty(_AT_ONCE), np.empty(_AT_ONCE), np.empty(_AT_ONCE + 1, np.int64)
-    bounds, sizes = np.empty((4, _AT_ONCE), np.int32), np.empty((3, _AT_ONCE))
+    batch = make_batch()
+    names, x, y, z, bounds, sizes = batch
     next_point = _ZERO
     while next_point < nearest.shape[0]:
-        num, next_point = place_alone(T, points, nearest, origin, next_point, names, x, y, z)
-        fill_bounds(x[:num], y[:num], z[:num], radius, max_sine, float(rows), float(columns), bounds, sizes)
+        num, next_point = place_batch(T, points, nearest, origin, next_point, reach, grid, batch)
         for k in range(num):
-            px, py, pz = x[k], y[k], z[k]
-            sq_p = px * px + py * py + pz * pz
-            p_range = np.sqrt(sq_p)
-            if p_range <= radius or not min_range <= p_range <= reach:
+            px, py, pz, sq_p, p_range, sq_limit = x[k], y[k], z[k], sizes[0, k], sizes[1, k], sizes[2, k]
+            if p_range <= radius or not min_range <= p_range <= max_range:
                 continue
             cosine = abs(turned_dot(T, normals[names[k]], px, py, pz)) / p_range
-            if cosine < min_cosine or sq_p > cosine * reach * reach:
+            if cosine < min_cosine or sq_p > cosine * max_range * max_range:
                 continue
-            sq_limit = min(radius, p_range * max_sine) ** 2
             for column in range(bounds[2, k], bounds[3, k] + 1):
                 begin, end = cell_range(column, bounds, k, rows, columns, cell_starts)
                 for i in range(begin, end):

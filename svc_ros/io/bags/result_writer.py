@@ -12,15 +12,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from svc_ros.core.errors import InputError
 from svc_ros.core.result import RegistrationResult
 from svc_ros.io.bags.mcap_folder import CLOUD_TYPE, POSE_TYPE, TRANSFORM_TYPE, McapFolder
 from svc_ros.io.bags.pictures import MARKERS_TYPE, Picture, marker_array
 from svc_ros.io.bags.writers import checked_stamp, distinct_frames
 from svc_ros.io.config_yaml import NODE_NAME
-from svc_ros.io.results import decision_values
+from svc_ros.io.results import UNKNOWN_COVARIANCE, decision_values
 
 RESULT_TOPICS = {
     "transform": TRANSFORM_TYPE,
@@ -30,8 +28,6 @@ RESULT_TOPICS = {
 }
 PICTURE_TOPICS = {"aligned": CLOUD_TYPE, "blocked_points": CLOUD_TYPE, "sight_lines": MARKERS_TYPE}
 UNFINISHED = ".*.unfinished"  # what the folder is called that holds a file until it is closed
-# Of an accepted pose whose method gives none, as the node has it: 1 m and 10 deg, so that nobody takes it for certain.
-UNKNOWN_COVARIANCE = np.diag([1.0, 1.0, 1.0, *[np.radians(10.0) ** 2] * 3])
 
 
 class RecordedTopic(NamedTuple):

@@ -9,14 +9,11 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-import numpy as np
-
 from svc_ros.core.errors import InputError
 from svc_ros.core.scan import Array
-from svc_ros.core.se3 import check_pose, invert, make_pose, nearest_pose
-from svc_ros.io.pose_text import parse_numbers
+from svc_ros.io.pose_text import parse_numbers, placed_lines, pose_from_matrix
 from svc_ros.io.suites.spacing import pair_by_distance
-from svc_ros.io.suites.suite import Criterion, Suite, SuitePair, suite_of_drives
+from svc_ros.io.suites.suite import Criterion, Suite, SuitePair, pair_of_drive, suite_of_drives
 from svc_ros.io.trajectories import read_kitti as read_poses
 
 SEQUENCES = ("08", "09", "10")
@@ -60,35 +57,24 @@ def _pairs_of(root: Path, base: Path, sequence: str) -> list[SuitePair]:
     world_velodyne = world_camera @ T_camera_velodyne
     chosen = [(frames[a], frames[b]) for a, b in pair_by_distance(positions)]
     return [
-        SuitePair(
-            source=str(scans[a].relative_to(root)),
-            target=str(scans[b].relative_to(root)),
-            T_target_source=nearest_pose(invert(world_velodyne[b]) @ world_velodyne[a]),
-            distance_m=float(np.linalg.norm(world_velodyne[a, :3, 3] - world_velodyne[b, :3, 3])),
-            name=f"{int(sequence)}_{a}_{b}",
-            group=sequence,
-            indices=(b, a),
+        pair_of_drive(
+            root, (scans[a], scans[b]), (world_velodyne[a], world_velodyne[b]),
+            name=f"{int(sequence)}_{a}_{b}", group=sequence, indices=(b, a),
         )
         for a, b in chosen
         if (sequence, a, b) not in LEFT_OUT
-    ]
+    ]  # fmt: skip
 
 
 def read_calibration(path: Path) -> Array:
     """T_camera_velodyne (4, 4) [m] of a calib.txt: its line `Tr:`. Raises InputError."""
-    try:
-        lines = path.read_text("utf-8").splitlines()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    for number, line in enumerate(lines, 1):
+    for place, line in placed_lines(path):
         key, _, rest = line.partition(":")
         if key.strip() in ("Tr", "Tr_velo_to_cam"):
-            place = f"{path}:{number}"
             values = parse_numbers(rest.split(), place)
             if len(values) != 12:
                 raise InputError(f"{place}: expected the 12 numbers of a 3x4 matrix, found {len(values)}")
-            matrix = values.reshape(3, 4)
-            return nearest_pose(check_pose(make_pose(matrix[:, :3], matrix[:, 3]), place))
+            return pose_from_matrix(values, place)
     raise InputError(f"{path}: expected a line 'Tr:' (velodyne to camera), found none")
 
 

@@ -16,11 +16,11 @@ from scipy.spatial.transform import Rotation
 
 from svc_ros.core.errors import InputError, TransformUnavailableError
 from svc_ros.core.scan import Array
-from svc_ros.core.se3 import check_pose, invert, make_pose, nearest_pose
-from svc_ros.io.pose_text import parse_numbers
+from svc_ros.core.se3 import make_pose
+from svc_ros.io.pose_text import parse_numbers, placed_lines, pose_from_matrix
 from svc_ros.io.suites.kitti import CRITERIA
 from svc_ros.io.suites.spacing import pair_by_distance
-from svc_ros.io.suites.suite import Suite, SuitePair, suite_of_drives
+from svc_ros.io.suites.suite import Suite, SuitePair, pair_of_drive, suite_of_drives
 from svc_ros.io.trajectories import Trajectory
 from svc_ros.io.transform_files import read_transform
 
@@ -60,15 +60,10 @@ def _pairs_of(root: Path, folder: Path) -> Iterator[SuitePair]:
     group = folder.resolve().name
     for a, b in pair_by_distance(positions):
         source, target = stamps[a], stamps[b]
-        yield SuitePair(
-            source=str(scans[source].relative_to(root)),
-            target=str(scans[target].relative_to(root)),
-            T_target_source=nearest_pose(invert(placed[target]) @ placed[source]),
-            distance_m=float(np.linalg.norm(positions[a] - positions[b])),
-            name=f"{group}/{source}_{target}",
-            group=group,
-            indices=(b, a),
-        )
+        yield pair_of_drive(
+            root, (scans[source], scans[target]), (placed[source], placed[target]),
+            name=f"{group}/{source}_{target}", group=group, indices=(b, a),
+        )  # fmt: skip
 
 
 def read_poses(path: Path) -> Trajectory:
@@ -76,20 +71,14 @@ def read_poses(path: Path) -> Trajectory:
 
     Raises InputError naming file and line.
     """
-    try:
-        lines = path.read_text("utf-8").splitlines()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     poses: dict[int, Array] = {}
-    for number, line in enumerate(lines, 1):
+    for place, line in placed_lines(path):
         words = [word for word in line.replace(",", " ").split() if word]
         if not words:
             continue
-        place = f"{path}:{number}"
         if len(words) != 13 or not words[0].isdecimal():
             raise InputError(f"{place}: expected a stamp [ns] and 12 numbers, found {line:.60}")
-        matrix = parse_numbers(words[1:], place).reshape(3, 4)
-        poses.setdefault(int(words[0]), nearest_pose(check_pose(make_pose(matrix[:, :3], matrix[:, 3]), place)))
+        poses.setdefault(int(words[0]), pose_from_matrix(parse_numbers(words[1:], place), place))
     if not poses:
         raise InputError(f"{path}: expected lines of a stamp [ns] and 12 numbers, found none")
     stamps = sorted(poses)

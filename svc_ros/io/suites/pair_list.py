@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from svc_ros.core.errors import InputError
 from svc_ros.core.scan import Array
-from svc_ros.core.se3 import check_pose, invert, nearest_pose, rotation_angle_deg
-from svc_ros.io.pose_text import parse_numbers
-from svc_ros.io.suites.suite import SuitePair
+from svc_ros.core.se3 import rotation_angle_deg
+from svc_ros.io.pose_text import parse_numbers, placed_lines, pose_from_matrix
+from svc_ros.io.suites.suite import SuitePair, pose_from_drive
 
 ARRAY_FOLDERS = ("", "metadata", "config")
 _DISTANCE_STEP_M, _ANGLE_STEP_DEG, _ALMOST_HALF_TURN_DEG = 10, 30, 179.9
@@ -45,12 +45,7 @@ class ListedPair:
 
 def read_text_list(path: Path) -> list[ListedPair]:
     """Pairs of a text list in file order. Raises InputError naming file and line."""
-    try:
-        lines = path.read_text("utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        cause = getattr(error, "strerror", None) or "it is not a text file"
-        raise InputError(f"{path}: cannot be read: {cause}") from None
-    rows = [(f"{path}:{number}", line.split()) for number, line in enumerate(lines, 1)]
+    rows = [(place, line.split()) for place, line in placed_lines(path)]
     pairs = [_pair_of_line(words, place) for place, words in rows if words and words[0] != _HEADING]
     if not pairs:
         raise InputError(f"{path}: expected lines of {_NUMBERS}, found none")
@@ -66,7 +61,7 @@ def _pair_of_line(words: list[str], place: str) -> ListedPair:
     if sequence != sequence_of_target:
         raise InputError(f"{place}: expected both scans in one sequence, found {sequence} and {sequence_of_target}")
     values = parse_numbers(words[4:], place)
-    T = nearest_pose(check_pose(values[:16].reshape(4, 4), place))
+    T = pose_from_matrix(values[:16].reshape(4, 4), place)
     return ListedPair(place, str(sequence), source, target, T, float(values[16]) if len(values) > 16 else None)
 
 
@@ -104,7 +99,7 @@ def pose_between(pair: ListedPair, poses: Array, origin: Path) -> Array:
     last = max(pair.source, pair.target)
     if last >= len(poses):
         raise InputError(f"{pair.place}: expected frames below {len(poses)}, the poses in {origin}, found {last}")
-    return nearest_pose(invert(poses[pair.target]) @ poses[pair.source])
+    return pose_from_drive(poses[pair.source], poses[pair.target])
 
 
 def suite_pair(pair: ListedPair, scans: Sequence[Path], T_target_source: Array, root: Path, name: str) -> SuitePair:
@@ -163,7 +158,7 @@ def _pair_of_row(row: NDArray[Any], place: str, pose: Array | None) -> ListedPai
     sequence, *frames = map(str, row.tolist())
     if not sequence or not all(frame.isdecimal() for frame in frames):
         raise InputError(f"{place}: expected a sequence and two frames, found {' '.join(map(str, row)):.80}")
-    T = None if pose is None else nearest_pose(check_pose(pose, f"{place}: its pose"))
+    T = None if pose is None else pose_from_matrix(pose, f"{place}: its pose")
     return ListedPair(place, sequence, int(frames[0]), int(frames[1]), T)
 
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from svc_ros.core.errors import InputError
 from svc_ros.core.scan import Array
-from svc_ros.core.se3 import check_pose, nearest_pose
-from svc_ros.io.pose_text import parse_numbers
+from svc_ros.io.pose_text import parse_numbers, placed_lines, pose_from_matrix
 
 PairOfFragments = tuple[int, int]
 
@@ -24,8 +23,8 @@ def read_log(path: Path) -> dict[PairOfFragments, Array]:
     Raises InputError naming file and line.
     """
     poses = {}
-    for (i, j, line), matrix in _read_blocks(path, 4).items():
-        poses[i, j] = nearest_pose(check_pose(matrix, f"{path}:{line}: pair {i} {j}"))
+    for (i, j, place), matrix in _read_blocks(path, 4).items():
+        poses[i, j] = pose_from_matrix(matrix, f"{place}: pair {i} {j}")
     return poses
 
 
@@ -35,31 +34,26 @@ def read_info(path: Path) -> dict[PairOfFragments, Array]:
     Raises InputError naming file and line, also where the first entry, the number of correspondences, is not positive.
     """
     found = {}
-    for (i, j, line), matrix in _read_blocks(path, 6).items():
+    for (i, j, place), matrix in _read_blocks(path, 6).items():
         if matrix[0, 0] <= 0.0:
-            raise InputError(f"{path}:{line}: pair {i} {j}: expected a positive first entry, found {matrix[0, 0]:g}")
+            raise InputError(f"{place}: pair {i} {j}: expected a positive first entry, found {matrix[0, 0]:g}")
         found[i, j] = matrix
     return found
 
 
-def _read_blocks(path: Path, size: int) -> Mapping[tuple[int, int, int], Array]:
-    """Matrices (size, size) by i, j and the line of their header."""
-    try:
-        lines = path.read_text("utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        cause = getattr(error, "strerror", None) or "it is not a text file"
-        raise InputError(f"{path}: cannot be read: {cause}") from None
-    filled = [(number, line.split()) for number, line in enumerate(lines, 1) if line.strip()]
-    blocks: dict[tuple[int, int, int], Array] = {}
+def _read_blocks(path: Path, size: int) -> Mapping[tuple[int, int, str], Array]:
+    """Matrices (size, size) by i, j and the place of their header."""
+    filled = [(place, line.split()) for place, line in placed_lines(path) if line.strip()]
+    blocks: dict[tuple[int, int, str], Array] = {}
     seen: set[PairOfFragments] = set()
     for start in range(0, len(filled), size + 1):
-        number, header = filled[start]
-        i, j = _fragments(header, f"{path}:{number}")
+        place, header = filled[start]
+        i, j = _fragments(header, place)
         if (i, j) in seen:
-            raise InputError(f"{path}:{number}: pair {i} {j} stands there twice")
+            raise InputError(f"{place}: pair {i} {j} stands there twice")
         seen.add((i, j))
         rows = filled[start + 1 : start + 1 + size]
-        blocks[i, j, number] = _matrix(rows, size, path, f"{path}:{number}: pair {i} {j}")
+        blocks[i, j, place] = _matrix(rows, size, f"{place}: pair {i} {j}")
     if not blocks:
         raise InputError(f"{path}: expected blocks of a line 'i j n' and {size} rows, found none")
     return blocks
@@ -73,10 +67,10 @@ def _fragments(words: list[str], place: str) -> PairOfFragments:
     return i, j
 
 
-def _matrix(rows: list[tuple[int, list[str]]], size: int, path: Path, block: str) -> Array:
+def _matrix(rows: list[tuple[str, list[str]]], size: int, block: str) -> Array:
     if len(rows) < size:
         raise InputError(f"{block}: expected {size} rows, found {len(rows)} before the end of the file")
-    for number, words in rows:
+    for place, words in rows:
         if len(words) != size:
-            raise InputError(f"{path}:{number}: expected {size} numbers, found {len(words)}")
-    return np.stack([parse_numbers(words, f"{path}:{number}") for number, words in rows])
+            raise InputError(f"{place}: expected {size} numbers, found {len(words)}")
+    return np.stack([parse_numbers(words, place) for place, words in rows])

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from svc_ros.core.scan import Array
+from svc_ros.core.se3 import invert, nearest_pose
 from svc_ros.io.datasets import Dataset, Pair, SuccessThresholds
 
 
@@ -52,16 +54,35 @@ class Suite(Dataset):
     refined: Path | None = None
 
 
-def suite_of_drives(
-    root: Path, name: str, sensor: str, pairs: Sequence[SuitePair], criteria: tuple[Criterion, ...]
-) -> Suite:
-    """A benchmark of a LiDAR on a car: returns of 3 to 80 m, seen from the scans' own origin; references are final.
+def pose_from_drive(T_world_source: Array, T_world_target: Array) -> Array:
+    """T_target_source (4, 4) [m] of two scans of a drive, by their poses (4, 4) in the world."""
+    return nearest_pose(invert(T_world_target) @ T_world_source)
 
-    The first of the criteria bounds a rotation and a translation: the data set's `success`.
-    """
+
+def pair_of_drive(root: Path, scans: tuple[Path, Path], world: tuple[Array, Array], **told: Any) -> SuitePair:
+    """A pair of a drive, source first: files below the root, poses (4, 4) [m] in the world; told: its other fields."""
+    (source, target), (T_world_source, T_world_target) = scans, world
+    return SuitePair(
+        source=str(source.relative_to(root)),
+        target=str(target.relative_to(root)),
+        T_target_source=pose_from_drive(T_world_source, T_world_target),
+        distance_m=float(np.linalg.norm(T_world_source[:3, 3] - T_world_target[:3, 3])),
+        **told,
+    )
+
+
+def success_of(criteria: Sequence[Criterion]) -> SuccessThresholds:
+    """The data set's `success`: the first of its criteria, which bounds a rotation and a translation."""
     rotation_deg, translation_m = criteria[0].rotation_deg, criteria[0].translation_m
     assert rotation_deg is not None
     assert translation_m is not None
+    return SuccessThresholds(rotation_deg, translation_m)
+
+
+def suite_of_drives(
+    root: Path, name: str, sensor: str, pairs: Sequence[SuitePair], criteria: tuple[Criterion, ...]
+) -> Suite:
+    """A benchmark of a LiDAR on a car: returns of 3 to 80 m, seen from the scans' own origin; references are final."""
     return Suite(
         root=root,
         name=name,
@@ -70,7 +91,7 @@ def suite_of_drives(
         min_range_m=3.0,
         max_range_m=80.0,
         sensor_origin=np.zeros(3),
-        success=SuccessThresholds(rotation_deg, translation_m),
+        success=success_of(criteria),
         pairs=list(pairs),
         criteria=criteria,
     )

@@ -13,9 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from svc_ros.core.errors import InputError
-from svc_ros.io.datasets import SuccessThresholds
 from svc_ros.io.suites.redwood_log import PairOfFragments, read_info, read_log
-from svc_ros.io.suites.suite import Criterion, Suite, SuitePair
+from svc_ros.io.suites.suite import Criterion, Suite, SuitePair, success_of
 
 _TRUTH_FOLDERS = ("", "gt_result", "benchmarks", "metadata/benchmarks", "configs/benchmarks")
 _FRAGMENT_FOLDERS = ("", "fragments", "data/test", "data/indoor/test", "indoor/test", "test")
@@ -50,7 +49,7 @@ def _read(root: Path, benchmark: str, evaluation_folders: bool) -> Suite:
         min_range_m=0.0,
         max_range_m=10.0,
         sensor_origin=np.zeros(3),
-        success=SuccessThresholds(15.0, 0.3),
+        success=success_of(CRITERIA),
         pairs=list(pairs),
         criteria=CRITERIA,
     )

@@ -6,17 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-import numpy as np
-
 from svc_ros.core.config import Config
 from svc_ros.core.errors import InputError, TransformUnavailableError
 from svc_ros.core.result import RegistrationResult
 from svc_ros.core.scan import Array, PreparedScan, Scan
 from svc_ros.io.clouds.point_cloud2 import scan_from_cloud
 from svc_ros.ros.streams.worker import Cloud, CloudLabel, DropJob, Job, PairJob
-
-# An accepted pose whose method gives no covariance: 1 m and 10 deg, so that no consumer takes it for certain.
-UNKNOWN_COVARIANCE = np.diag([1.0] * 3 + [np.deg2rad(10.0) ** 2] * 3)
 
 
 @dataclass(frozen=True, eq=False)

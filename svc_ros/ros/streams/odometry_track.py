@@ -10,9 +10,10 @@ import numpy as np
 from svc_ros.core import se3
 from svc_ros.core.scan import Array
 from svc_ros.io.g2o import adjoint
+from svc_ros.io.results import UNKNOWN_COVARIANCE
 from svc_ros.pipeline.motion import scale_motion
 from svc_ros.pipeline.stream import StreamDecision
-from svc_ros.ros.streams.decision import UNKNOWN_COVARIANCE, OdometryEstimate
+from svc_ros.ros.streams.decision import OdometryEstimate
 
 _KEPT_COVARIANCES = 2000
 

@@ -15,8 +15,9 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from svc_ros.core.errors import MissingDependencyError
+from svc_ros.io.results import UNKNOWN_COVARIANCE
 from svc_ros.io.stamps import ns_from_stamp, text_from_ns
-from svc_ros.ros.streams.decision import UNKNOWN_COVARIANCE, Decision
+from svc_ros.ros.streams.decision import Decision
 from svc_ros.ros.topics.conversions import header, plain_pose
 
 _NEEDS = "edges:={} needs {} ({})"

@@ -19,8 +19,9 @@ from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Array
 from svc_ros.core.se3 import make_pose
 from svc_ros.io.clouds.point_cloud2 import cloud_layout
+from svc_ros.io.results import UNKNOWN_COVARIANCE
 from svc_ros.io.stamps import seconds_and_rest
-from svc_ros.ros.streams.decision import UNKNOWN_COVARIANCE, OdometryEstimate
+from svc_ros.ros.streams.decision import OdometryEstimate
 
 _FAULTS = (Reason.INTERNAL_ERROR, Reason.TF_UNAVAILABLE)
 
