@@ -128,7 +128,7 @@ def test_warm_up_leaves_nothing_for_the_first_pair_to_compile(tmp_path):
     code = (
         "from svc_ros.core.compiling import told\n"
         "from svc_ros.core.config import preset\n"
-        "from svc_ros.ros.registrar import made_up_scan, warm_up\n"
+        "from svc_ros.ros.streams.registrar import made_up_scan, warm_up\n"
         "from svc_ros.core.registration import register\n"
         "config = preset('lidar_outdoor')\n"
         "with told(lambda line: print('first', line)):\n    warm_up(config)\n"

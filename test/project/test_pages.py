@@ -83,7 +83,7 @@ def test_launch_commands_take_these_arguments(page):
     lines = [line for line in (*shell_lines(PAGES[page]), *code(prose(PAGES[page]))) if line.startswith("ros2 launch")]
     for words in map(str.split, lines):
         texts = [(PROJECT_ROOT / "launch" / name).read_text("utf-8") for name in {words[3], "registration.launch.py"}]
-        declared = {name for text in texts for name in re.findall(r'^    "(\w+)": \(', text, re.MULTILINE)}
+        declared = {name for text in texts for name in re.findall(r'^    "(\w+)": (?:\(|MODE,)', text, re.MULTILINE)}
         assert {word.partition(":=")[0] for word in words[4:] if ":=" in word} <= declared, words
 
 

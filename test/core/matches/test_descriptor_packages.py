@@ -14,6 +14,7 @@ import pytest
 from assertions import assert_same_pose
 from correspondence_cases import KITTI_PAIRS, read_kitti_case
 from descriptor_packages import EXAMPLE, install_example, write_package
+from places import PROJECT_ROOT, SUPPORT
 from scan_cases import real_pair
 
 from svc_ros.core import se3
@@ -23,8 +24,6 @@ from svc_ros.core.matches.descriptors import more_matches
 from svc_ros.core.registration import prepare, register
 from svc_ros.core.scan import Features, Scan
 from svc_ros.io.clouds.files import read_scan
-
-PROJECT_ROOT = EXAMPLE.parent.parent
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +69,7 @@ print(json.dumps([result.T_target_source.tolist(), result.counts]))
 
 
 def test_the_example_joins_register(example):
-    program = f"import sys\nsys.path.append({str(EXAMPLE.parent)!r})\n{PROGRAM}"
+    program = f"import sys\nsys.path.append({str(SUPPORT)!r})\n{PROGRAM}"
     done = run(example, "-c", program)
     assert done.returncode == 0, done.stderr
     T, counts = json.loads(done.stdout)
