@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from svc_ros.cli import console, replay_console
+from svc_ros.cli import console
 from svc_ros.cli.replay_console import print_summary, replay_progress, stop_request
 
 SUMMARY: dict[str, Any] = {
@@ -58,7 +58,7 @@ def test_errors_against_the_reference_are_rows(capsys: pytest.CaptureFixture[str
 def test_progress_tells_rate_and_time_left_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
     for is_terminal in (True, False):
         screen = Console(force_terminal=is_terminal, width=120, record=True, file=open(os.devnull, "w"))  # noqa: SIM115
-        monkeypatch.setattr(replay_console, "summary_console", lambda _, screen=screen: screen)
+        monkeypatch.setattr(console, "_stderr", screen)
         with replay_progress("replaying") as on_progress:
             for done in range(5):
                 on_progress(done, 8)
