@@ -2,19 +2,53 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import IO
 
+try:
+    import fcntl
+except ImportError:  # no Unix: two processes may have the same domain by chance
+    fcntl = None  # type: ignore[assignment]
+
 _DOMAINS = 101  # higher numbers collide with the ports that Linux gives out
+_KEPT = 8
+_own: dict[int, tuple[int, int]] = {}  # salt: domain and the file that is locked for it
 
 
 def own_domain_id(salt: int = 0) -> int:
-    """A ROS_DOMAIN_ID that other runs on this machine are unlikely to have."""
-    return 1 + (os.getpid() * 7 + salt) % _DOMAINS
+    """A ROS_DOMAIN_ID that no other process has from here, as long as one is free; another salt gives another one.
+
+    A process keeps the last eight that it asked for, and the same salt has the same one.
+    """
+    first = os.getpid() * 7 + salt
+    if salt in _own:
+        return _own[salt][0]
+    for step in range(_DOMAINS):
+        domain_id = 1 + (first + step) % _DOMAINS
+        with contextlib.suppress(OSError):  # another process has it, or the file is somebody else's
+            _own[salt] = domain_id, _locked_file(domain_id)
+            while len(_own) > _KEPT:
+                os.close(_own.pop(next(iter(_own)))[1])
+            return domain_id
+    return 1 + first % _DOMAINS
+
+
+def _locked_file(domain_id: int) -> int:
+    """A file that no other process can lock as long as this one lives and has it open. Raises OSError."""
+    file = os.open(Path(tempfile.gettempdir(), f"svc_ros_domain_{domain_id}.lock"), os.O_CREAT | os.O_RDWR, 0o600)
+    try:
+        if fcntl is not None:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(file)
+        raise
+    return file
 
 
 def local_environment(domain_id: int) -> dict[str, str]:
