@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
-import functools
 import os
 import signal
 import subprocess
@@ -13,31 +13,38 @@ from pathlib import Path
 from typing import IO
 
 _DOMAINS = 101  # higher numbers collide with the ports that Linux gives out
-_reservations: list[IO[str]] = []
+_KEPT = 8
+_own: dict[int, tuple[int, int]] = {}  # salt: domain and the file that is locked for it
 
 
-@functools.cache
 def own_domain_id(salt: int = 0) -> int:
-    """A ROS_DOMAIN_ID for each salt, which no other process that asks here has until this one ends.
+    """A ROS_DOMAIN_ID that no other process has from here, as long as one is free; another salt gives another one.
 
-    Processes of one user keep out of each other's way by locks on files in the temporary folder. Where all are taken,
-    or none can be locked, it is one that others are unlikely to have.
+    A process keeps the last eight that it asked for, and the same salt has the same one.
     """
-    wanted = (os.getpid() * 7 + salt) % _DOMAINS
-    domains = [1 + (wanted + k) % _DOMAINS for k in range(_DOMAINS)]
-    return next(filter(_reserve, domains), domains[0])
+    first = os.getpid() * 7 + salt
+    if salt in _own:
+        return _own[salt][0]
+    for step in range(_DOMAINS):
+        domain_id = 1 + (first + step) % _DOMAINS
+        with contextlib.suppress(OSError):  # another process has it, or the file is somebody else's
+            _own[salt] = domain_id, _locked_file(domain_id)
+            while len(_own) > _KEPT:
+                os.close(_own.pop(next(iter(_own)))[1])
+            return domain_id
+    return 1 + first % _DOMAINS
 
 
-def _reserve(domain_id: int) -> bool:
-    """Take the domain for this process, unless another one has it."""
+def _locked_file(domain_id: int) -> int:
+    """A file that no other process can lock as long as this one lives and has it open. Raises OSError."""
+    path = Path(tempfile.gettempdir(), f"svc_ros_{os.getuid()}_domain_{domain_id}.lock")
+    file = os.open(path, os.O_CREAT | os.O_RDWR, 0o600)
     try:
-        path = Path(tempfile.gettempdir(), f"svc_ros-{os.getuid()}-domain-{domain_id}.lock")
-        file = path.open("a")
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
-        return False
-    _reservations.append(file)  # the lock goes with the file
-    return True
+        os.close(file)
+        raise
+    return file
 
 
 def local_environment(domain_id: int) -> dict[str, str]:

@@ -8,8 +8,8 @@ import re
 
 import numpy as np
 import pytest
-from conftest import PROJECT_ROOT
 from pages import module_from
+from places import PROJECT_ROOT
 
 from svc_ros.core.sight.seen_surface import look_through
 

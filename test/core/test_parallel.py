@@ -8,6 +8,7 @@ import warnings
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from yardstick import PATIENCE_S
 
 from svc_ros.core import parallel
 
@@ -21,7 +22,7 @@ def test_results_are_in_order(monkeypatch, num_processors):
 
 def test_two_parts_run_at_the_same_time(monkeypatch):
     monkeypatch.setattr(parallel, "num_processors", lambda: 2)
-    both = threading.Barrier(2, timeout=10)
+    both = threading.Barrier(2, timeout=PATIENCE_S)
     assert sorted(parallel.on_all_processors(lambda _: both.wait(), range(2))) == [0, 1]
 
 
@@ -61,7 +62,7 @@ def test_calls_inside_calls_and_beside_each_other_all_end(monkeypatch):
     expected = [[n + k for k in range(5)] for n in range(50)]
     with ThreadPoolExecutor(4) as callers:
         calls = [callers.submit(outer) for _ in range(8)]
-        assert all(call.result(timeout=30) == expected for call in calls)
+        assert all(call.result(timeout=PATIENCE_S) == expected for call in calls)
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork a process")
@@ -72,7 +73,7 @@ def test_a_forked_process_has_threads_of_its_own(monkeypatch):
         warnings.simplefilter("ignore", DeprecationWarning)  # forking with threads is what is looked at
         child = os.fork()
     if child == 0:
-        both = threading.Barrier(2, timeout=10)
+        both = threading.Barrier(2, timeout=PATIENCE_S)
         os._exit(0 if sorted(parallel.on_all_processors(lambda _: both.wait(), range(2))) == [0, 1] else 1)
     assert os.waitpid(child, 0)[1] == 0
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import PROJECT_ROOT
+from places import PROJECT_ROOT
 from scipy.stats import binom, binomtest
 
 from svc_ros.core.config import preset

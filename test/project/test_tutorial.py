@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from places import PROJECT_ROOT
+from yardstick import PATIENCE_S
 
 PAGE = (PROJECT_ROOT / "docs" / "tutorial.md").read_text("utf-8")
 BLOCK = re.compile(r"^```(sh|text)( terminal \d)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -85,7 +86,7 @@ def terminal(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 def run(step: Step, terminal: dict[str, str]) -> str:
     done = subprocess.run(
         ["bash", "-e", "-c", step.commands], cwd=terminal["PWD"], env=terminal, capture_output=True, text=True,
-        timeout=240, check=False,
+        timeout=PATIENCE_S, check=False,
     )  # fmt: skip
     assert done.returncode == 0, f"{step.commands}\n{done.stdout}\n{done.stderr}"
     return done.stdout + done.stderr
@@ -136,7 +137,7 @@ def test_the_live_part(node: tuple[subprocess.Popen[bytes], Path], terminal: dic
     assert differences(player.shown, run(player, terminal)) == []
     time.sleep(5.0)  # some seconds later
     process.send_signal(signal.SIGINT)
-    assert process.wait(60) in (0, 130, -signal.SIGINT)
+    assert process.wait(PATIENCE_S) in (0, 130, -signal.SIGINT)
     assert differences(first.shown, log.read_text("utf-8")) == []
     assert differences(graphs.shown, run(graphs, terminal)) == []
 

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 
 import pytest
+from yardstick import PATIENCE_S
 
 from svc_ros.replay.ahead import ahead
 
@@ -32,7 +33,7 @@ def test_items_are_made_elsewhere_and_at_most_so_many_before_they_are_asked_for(
 
     found = ahead(items(), num=3)
     assert next(found) == 0
-    deadline = time.monotonic() + 5.0
+    deadline = time.monotonic() + PATIENCE_S
     while len(made) < 5 and time.monotonic() < deadline:
         time.sleep(0.01)
     time.sleep(0.3)  # it could go on in that time, and does not

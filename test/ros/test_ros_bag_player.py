@@ -12,6 +12,7 @@ pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
 
 from mini_data import POSES, pose_between, scan_room
 from ros_bench import SECOND, Bench, StreamBench, cloud, matrix
+from yardstick import PATIENCE_S
 
 from svc_ros.core.se3 import pose_error
 from svc_ros.io.bags import Bag, CloudBagWriter
@@ -71,8 +72,8 @@ def test_bag_is_played_and_every_pair_is_decided(bag_path, tmp_path, monkeypatch
         Bench(tmp_path, domain_id, {"preset": "lidar_indoor"}) as bench,  # live: only back-pressure keeps every pair
         ChildProcess("svc_ros.ros.bag_player", args, local_environment(domain_id), tmp_path / "player.log") as player,
     ):
-        assert bench.collector.wait_for_decisions(2, 60.0), player.output() + bench.process.output()
-        assert player.wait(10.0) == 0, player.output()
+        assert bench.collector.wait_for_decisions(2, PATIENCE_S), player.output() + bench.process.output()
+        assert player.wait(PATIENCE_S) == 0, player.output()
         assert "2 pairs played" in player.output()
         bench.settle()
     assert [(d["verdict"], d["source_stamp"]) for d in bench.answers.decisions] == [
@@ -91,8 +92,8 @@ def test_bag_is_played_as_scans_and_every_scan_is_decided(bag_path, tmp_path, mo
         StreamBench(tmp_path, domain_id, {"mode": "scan_matching", "preset": "lidar_indoor"}) as bench,
         ChildProcess("svc_ros.ros.bag_player", args, local_environment(domain_id), tmp_path / "player.log") as player,
     ):
-        assert bench.collector.wait_for_decisions(3, 60.0), player.output() + bench.process.output()
-        assert player.wait(10.0) == 0, player.output()
+        assert bench.collector.wait_for_decisions(3, PATIENCE_S), player.output() + bench.process.output()
+        assert player.wait(PATIENCE_S) == 0, player.output()
         assert "3 scans played" in player.output()
     assert [d["source_stamp"] for d in bench.answers.decisions] == [f"{k}.000000000" for k in (1, 2, 3)]
     assert bench.answers.decisions[0]["origin"] == "start"
@@ -114,7 +115,8 @@ def test_bag_is_played_as_scans_and_every_scan_is_decided(bag_path, tmp_path, mo
 )
 def test_what_cannot_be_played_is_one_line(bag_path, args, exit_code, text):
     command = [sys.executable, "-m", "svc_ros.ros.bag_player", *(str(bag_path) if a == "BAG" else a for a in args)]
-    run = subprocess.run(command, env=local_environment(own_domain_id(7)), capture_output=True, text=True, timeout=30)
+    environment = local_environment(own_domain_id(7))
+    run = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=PATIENCE_S)
     assert run.returncode == exit_code
     assert text in run.stderr.splitlines()[-1]
     assert "Traceback" not in run.stderr

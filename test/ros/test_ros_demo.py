@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from yardstick import PATIENCE_S
 
 pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
 
@@ -19,7 +20,7 @@ pytestmark = [pytest.mark.dds, pytest.mark.slow]
 
 def test_demo_leaves_every_decision_and_a_picture(tmp_path):
     command = [sys.executable, "-m", "svc_ros.ros.demo", "--out", str(tmp_path / "demo"), "--scans", "4"]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=180)
+    run = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert run.returncode == 0, run.stdout + run.stderr
     records = read_jsonl(tmp_path / "demo" / "decisions.jsonl")
     assert [r["verdict"] == "accepted" for r in records] == [True, False, True]
@@ -40,7 +41,7 @@ def test_interrupted_demo_leaves_no_process(tmp_path):
                 break
         run.wait(1.0)
         run.interrupt()
-        assert run.wait(30.0) == 1, run.output()
+        assert run.wait(PATIENCE_S) == 1, run.output()
         assert "interrupted" in run.output()
     processes = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True).stdout
     assert str(tmp_path) not in processes

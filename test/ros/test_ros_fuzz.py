@@ -15,6 +15,7 @@ from cloud_fuzz import broken_cloud, right_cloud
 from cloud_messages import Cloud, xyz_cloud
 from mini_data import POSES, scan_room, sensor_pose
 from ros_bench import SECOND, Bench, NodeBench, StreamBench, cloud
+from yardstick import PATIENCE_S
 
 from svc_ros.core.errors import UnsupportedCloudError
 from svc_ros.io.clouds.point_cloud2 import scan_from_cloud
@@ -78,7 +79,7 @@ def test_200_malformed_pairs_have_a_decision_each_and_the_next_pair_is_registere
                 pair = {"source": cloud(SCANS[2], stamp), "target": cloud(SCANS[0], stamp), side: bad}
                 bench.player.publish(pair["source"], pair["target"])
                 bench.settle(0.01)
-            assert bench.collector.wait_for_decision_on(stamps[-1] * SECOND, 60.0), bench.process.output()
+            assert bench.collector.wait_for_decision_on(stamps[-1] * SECOND, PATIENCE_S), bench.process.output()
             for stamp, side, decision in zip(stamps, sides, decisions_on(bench, stamps), strict=True):
                 check(decision, broken[stamp - 1], f"{side}: ")
                 reasons[decision["reason"]] += 1

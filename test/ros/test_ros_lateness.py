@@ -17,6 +17,7 @@ from rclpy.clock import Clock, ClockType  # noqa: E402
 from rclpy.context import Context  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
+from yardstick import PATIENCE_S  # noqa: E402
 
 from svc_ros.ros.collector import spin_until  # noqa: E402
 from svc_ros.ros.processes import ChildProcess, local_environment, own_domain_id  # noqa: E402
@@ -101,21 +102,21 @@ def test_a_timer_at_100_hz_is_in_time_while_real_scans_are_computed(
     player_args = [str(shared_data.joinpath(*bag)), *arguments, "--wait-for-subscribers", "20"]
     try:
         session = node._session
-        assert spin_until(executor, session.worker.ready.is_set, 60.0)
+        assert spin_until(executor, session.worker.ready.is_set, PATIENCE_S)
         with ChildProcess(
             "svc_ros.ros.bag_player", player_args, local_environment(domain_id), tmp_path / "log"
         ) as player:
-            assert spin_until(executor, lambda: session.statistics.numbers()["jobs"]["received"] > 0, 30.0)
+            assert spin_until(executor, lambda: session.statistics.numbers()["jobs"]["received"] > 0, PATIENCE_S)
             control = subprocess.Popen(
                 [sys.executable, "-c", CONTROL], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
             )
             heart = Heart(node)
-            assert spin_until(executor, lambda: player.exit_code is not None, 30.0)
+            assert spin_until(executor, lambda: player.exit_code is not None, PATIENCE_S)
             heart.stop()
             machine_ms = float(control.communicate()[0])
         counts = session.statistics.numbers()["decisions"]
     finally:
-        node.stop(30.0)
+        node.stop(PATIENCE_S)
         node.destroy_node()
         context.try_shutdown()
     assert counts["accepted"] >= 1, counts  # there was work

@@ -10,9 +10,10 @@ from pathlib import Path
 
 import pytest
 import yaml
-from conftest import PROJECT_ROOT
 from launch_stand_ins import DeclareLaunchArgument, ExecuteProcess, IncludeLaunchDescription, load, load_real, started
 from pages import absolute, node_defaults, rows
+from places import PROJECT_ROOT
+from yardstick import PATIENCE_S
 
 from svc_ros.core.config import AUTO, METHODS, PRESETS, preset, walk
 
@@ -223,7 +224,7 @@ def leaves(node) -> list[str]:
 
 def test_missing_rclpy_is_one_line_and_exit_code_2():
     code = "import sys; sys.modules['rclpy'] = None; from svc_ros.ros.node import main; sys.exit(main([]))"
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S)
     assert run.returncode == 2
     (line,) = run.stderr.splitlines()
     assert "svc_ros[ros]" in line

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from mini_data import POSES, pose_between, scan_room, sensor_pose
 from nav_msgs.msg import Odometry
 from ros_bench import SECOND, StreamBench, cloud, recorded_clouds
 from std_srvs.srv import Trigger
+from yardstick import PATIENCE_S, assert_ends_within
 
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.se3 import invert, pose_error
@@ -77,7 +77,7 @@ def test_a_walk_back_to_earlier_places_has_right_loops_only(shared_data, tmp_pat
     }  # fmt: skip
     with StreamBench(tmp_path, own_domain_id(20), parameters) as bench:
         odometry = bench.node.create_publisher(Odometry, "/odom", 100)
-        assert spin_until(bench.executor, odometry.get_subscription_count, 10.0)
+        assert spin_until(bench.executor, odometry.get_subscription_count, PATIENCE_S)
         for message in clouds:
             stamp_ns = ns_from_stamp(message.header.stamp)
             for offset_ns in (-SECOND // 4, SECOND // 4):  # the pose is interpolated
@@ -119,12 +119,9 @@ def test_ctrl_c_in_the_middle_of_a_loop_ends_the_node_and_writes_the_graph_so_fa
     }  # fmt: skip
     with StreamBench(tmp_path, own_domain_id(23), parameters) as bench:
         bench.play(clouds, 20.0)
-        assert spin_until(bench.executor, lambda: bench.status()["worker"]["keyframes"] >= 2, 30.0)
+        assert spin_until(bench.executor, lambda: bench.status()["worker"]["keyframes"] >= 2, PATIENCE_S)
         assert bench.status()["jobs"]["pending"] > 0
-        start = time.monotonic()
-        bench.process.interrupt()
-        assert bench.process.wait(10.0) == 0, bench.process.output()
-        assert time.monotonic() - start < 2.0
+        assert_ends_within(2.0, bench.process)
         assert "Traceback" not in bench.process.output()
     assert len(read_g2o(tmp_path / "loops.g2o").poses) >= 2
 
@@ -179,14 +176,14 @@ def test_each_walk_after_a_reset_has_a_graph_of_its_own(bench, folder):
 @pytest.fixture(scope="module")
 def player(bench):
     player = CloudPlayer(bench.node, bench.executor, "/source_points", "/target_points")
-    assert player.wait_for_subscribers(10.0)
+    assert player.wait_for_subscribers(PATIENCE_S)
     return player
 
 
 def propose(bench, player, source, target):
     stamp_ns = ns_from_stamp(source.header.stamp)
     player.publish(source, target)
-    assert bench.collector.wait_for_decision_on(stamp_ns, 30.0), bench.process.output()
+    assert bench.collector.wait_for_decision_on(stamp_ns, PATIENCE_S), bench.process.output()
     return bench.decisions_on(stamp_ns)[-1]
 
 
@@ -198,7 +195,7 @@ def test_a_candidate_from_outside_is_judged(bench, player):
 
 def test_a_good_guess_spares_the_search(bench, player):
     guesses = bench.node.create_publisher(PoseWithCovarianceStamped, "/initial_guess", 10)
-    assert spin_until(bench.executor, guesses.get_subscription_count, 5.0)
+    assert spin_until(bench.executor, guesses.get_subscription_count, PATIENCE_S)
     right = RegistrationResult(Verdict.ACCEPTED, Reason.OK, T_target_source=pose_between(1, 0))
     guesses.publish(pose_message(right, 2 * SECOND, "lidar"))
     bench.settle(0.3)

@@ -1,40 +1,41 @@
-"""Domains of the middleware that two runs on one machine do not share."""
+"""Middleware domains of programs that run at the same time."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
 
-import pytest
-
-pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
-
 from svc_ros.ros.processes import own_domain_id
 
-TAKES_THIRTY = """
-import sys
-from svc_ros.ros.processes import own_domain_id
-print(*(own_domain_id(salt) for salt in range(1000, 1030)), flush=True)
-sys.stdin.read()
-"""
+ASK = (
+    "import sys; from svc_ros.ros.processes import own_domain_id; "
+    "print(own_domain_id({salt}), flush=True); sys.stdin.read()"
+)
 
 
-def test_a_salt_keeps_its_domain():
-    assert own_domain_id(300) == own_domain_id(300)
-    assert len({own_domain_id(salt) for salt in (300, 307, 314)}) == 3
-
-
-def test_processes_that_run_at_the_same_time_have_different_domains():
-    """Sixty of a hundred: by chance that does not happen."""
-    runs = [
-        subprocess.Popen([sys.executable, "-c", TAKES_THIRTY], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        for _ in range(2)
+def test_processes_at_the_same_time_have_domains_of_their_own():
+    mine = own_domain_id(200)
+    salts = [200 - k for k in range(4)]  # whichever number the process has, some ask for what others want
+    others = [
+        subprocess.Popen(
+            [sys.executable, "-c", ASK.format(salt=salt)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        for salt in salts
     ]
     try:
-        taken = [set(map(int, run.stdout.readline().split())) for run in runs]
+        theirs = [int(process.stdout.readline()) for process in others]
     finally:
-        for run in runs:
-            run.communicate("")
-    assert [len(domains) for domains in taken] == [30, 30]
-    assert taken[0].isdisjoint(taken[1])
-    assert taken[0] | taken[1] <= set(range(1, 102))
+        for process in others:
+            process.communicate()
+    assert len({mine, *theirs}) == 5
+    assert all(1 <= domain_id <= 101 for domain_id in (mine, *theirs))
+
+
+def test_salts_have_domains_of_their_own_and_keep_them():
+    first = [own_domain_id(salt) for salt in range(300, 308)]
+    assert len(set(first)) == 8
+    assert [own_domain_id(salt) for salt in range(300, 308)] == first
+
+
+def test_more_than_a_process_keeps_may_be_asked_for():
+    assert all(1 <= own_domain_id(salt) <= 101 for salt in range(400, 650))

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 
 import pytest
 
-pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
+rclpy = pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
 
-from rclpy.event_handler import PublisherEventCallbacks
-from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.waitable import NumberOfEntities, Waitable
-from ros_bench import Host
-from std_msgs.msg import Bool
+from rclpy.event_handler import PublisherEventCallbacks  # noqa: E402
+from rclpy.node import Node  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
+from rclpy.waitable import NumberOfEntities, Waitable  # noqa: E402
+from ros_bench import Host  # noqa: E402
+from std_msgs.msg import Bool  # noqa: E402
+from yardstick import PATIENCE_S  # noqa: E402
 
-from svc_ros.ros.collector import spin_until
-from svc_ros.ros.processes import own_domain_id
+from svc_ros.ros.collector import spin_until  # noqa: E402
+from svc_ros.ros.node import _spin  # noqa: E402
+from svc_ros.ros.processes import own_domain_id  # noqa: E402
+from svc_ros.ros.registration_node import RegistrationNode  # noqa: E402
 
 pytestmark = pytest.mark.dds
 
@@ -26,7 +31,7 @@ BEST_EFFORT = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 @pytest.fixture
 def host(monkeypatch):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    with contextlib.closing(Host(own_domain_id(60))) as host:
+    with contextlib.closing(Host(own_domain_id(63))) as host:
         yield host
 
 
@@ -67,7 +72,7 @@ def test_what_is_destroyed_while_the_executor_prepares_to_wait_does_not_end_it(h
     assert len(thing.event_handlers) > 0
     if order == "after it is entered":
         node.add_waitable(other)
-    assert spin_until(host.executor, lambda: given_back, 10.0)
+    assert spin_until(host.executor, lambda: given_back, PATIENCE_S)
     assert given_back == [True]
     assert host.state() == "unconfigured"  # it is spun, and answers
 
@@ -88,6 +93,18 @@ def test_an_event_is_told_unless_its_publisher_is_destroyed_between_event_and_ca
     handler()
     assert handler.exception() is None
     assert len(told) == (0 if is_destroyed else 1)
+
+
+def test_a_shutdown_while_the_executor_prepares_to_wait_ends_the_program_in_good_order(monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    rclpy.init(domain_id=own_domain_id(62))
+    try:
+        node = RegistrationNode(parameter_overrides=[Parameter("autostart", value=False)])
+        node.add_waitable(OtherThread(node, rclpy.try_shutdown))
+        assert _spin(node) == 0
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        rclpy.try_shutdown()
 
 
 def test_configuration_and_cleanup_leave_the_timers_alone(host):

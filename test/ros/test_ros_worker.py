@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from mini_data import POSES, pose_between, scan_room
+from yardstick import PATIENCE_S
 
 from svc_ros.core.config import preset
 from svc_ros.core.errors import TransformUnavailableError
@@ -91,8 +92,8 @@ def test_worker_processes_on_after_an_exception(caplog):
     worker.jobs.put(small_pair(1), None)
     worker.jobs.put(small_pair(2), None)
     worker.start()
-    assert finished.wait(5.0)
-    assert worker.stop(2.0)
+    assert finished.wait(PATIENCE_S)
+    assert worker.stop(PATIENCE_S)
     assert done == [2]
     assert "boom" in caplog.text
 
@@ -104,20 +105,20 @@ def test_worker_is_ready_after_preparing_even_if_that_fails(caplog):
     worker = Worker(lambda job: None, prepare)
     assert not worker.ready.is_set()
     worker.start()
-    assert worker.ready.wait(5.0)
-    assert worker.stop(2.0)
+    assert worker.ready.wait(PATIENCE_S)
+    assert worker.stop(PATIENCE_S)
     assert "no compiler" in caplog.text
 
 
 def test_stop_says_when_a_job_takes_too_long():
     release = threading.Event()
-    worker = Worker(lambda job: release.wait(10.0), prepare=lambda: None)
+    worker = Worker(lambda job: release.wait(PATIENCE_S), prepare=lambda: None)
     worker.jobs.put(small_pair(1), None)
     worker.start()
-    worker.ready.wait(5.0)
+    worker.ready.wait(PATIENCE_S)
     assert worker.stop(0.1) is False
     release.set()
-    assert worker.stop(5.0) is True
+    assert worker.stop(PATIENCE_S) is True
 
 
 def test_stop_answers_what_waits_and_leaves_calls_out():
@@ -126,18 +127,18 @@ def test_stop_answers_what_waits_and_leaves_calls_out():
     def process(job):
         done.append(job)
         begun.set()
-        release.wait(10.0)
+        release.wait(PATIENCE_S)
 
     worker = Worker(process, prepare=lambda: None)
     worker.start()
     for stamp in (1, 2, 3):
         worker.jobs.put(small_pair(stamp), None)
     worker.jobs.call_next(lambda: called.append(True))
-    assert begun.wait(5.0)
+    assert begun.wait(PATIENCE_S)
     threading.Timer(0.2, release.set).start()
     called.clear()
     worker.jobs.call_next(lambda: called.append(True))
-    assert worker.stop(5.0)
+    assert worker.stop(PATIENCE_S)
     assert [getattr(job, "reason", None) for job in done] == [None, Reason.INACTIVE, Reason.INACTIVE]
     assert called == []
 

@@ -22,6 +22,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
+from yardstick import PATIENCE_S
 
 from svc_ros.io.bags import Bag
 from svc_ros.io.stamps import ns_from_stamp, text_from_ns
@@ -54,8 +55,8 @@ class NodeBench:
 
     def __enter__(self: Self) -> Self:
         self.process.__enter__()
-        started = self.wait_for_subscribers(300.0)
-        ready = started and spin_until(self.executor, lambda: "ready:" in self.process.output(), 300.0)
+        started = self.wait_for_subscribers(PATIENCE_S)
+        ready = started and spin_until(self.executor, lambda: "ready:" in self.process.output(), PATIENCE_S)
         if not ready:
             self.__exit__()
         assert ready, self.process.output()
@@ -81,9 +82,9 @@ class NodeBench:
     def call(self, service_type, name: str, request):
         """The node's answer to a service call."""
         client = self.node.create_client(service_type, f"/svc_registration/{name}")
-        assert client.wait_for_service(timeout_sec=300.0)
+        assert client.wait_for_service(timeout_sec=PATIENCE_S)
         future = client.call_async(request)
-        assert spin_until(self.executor, future.done, 300.0)
+        assert spin_until(self.executor, future.done, PATIENCE_S)
         self.node.destroy_client(client)
         return future.result()
 
@@ -107,7 +108,7 @@ class Bench(NodeBench):
     def wait_for_subscribers(self, timeout_s: float) -> bool:
         return self.player.wait_for_subscribers(timeout_s)
 
-    def decide(self, source: PointCloud2, target: PointCloud2, timeout_s: float = 60.0) -> dict[str, str]:
+    def decide(self, source: PointCloud2, target: PointCloud2, timeout_s: float = PATIENCE_S) -> dict[str, str]:
         """Publish one pair and return its decision."""
         self.player.publish(source, target)
         stamp_ns = ns_from_stamp(source.header.stamp)
@@ -141,7 +142,7 @@ class StreamBench(NodeBench):
             spin_until(self.executor, lambda due=due: time.monotonic() >= due, 60.0)
         return num_played
 
-    def decide(self, message: PointCloud2, timeout_s: float = 30.0) -> dict[str, str]:
+    def decide(self, message: PointCloud2, timeout_s: float = PATIENCE_S) -> dict[str, str]:
         """Publish one scan and return its decision; an earlier one on the same stamp does not count."""
         stamp_ns = ns_from_stamp(message.header.stamp)
         before = len(self.decisions_on(stamp_ns))
@@ -175,9 +176,9 @@ class Host:
 
     def call(self, service_type, name, request):
         client = self.node.create_client(service_type, name)
-        assert spin_until(self.executor, client.service_is_ready, 10.0)
+        assert spin_until(self.executor, client.service_is_ready, PATIENCE_S)
         future = client.call_async(request)
-        assert spin_until(self.executor, future.done, 300.0)
+        assert spin_until(self.executor, future.done, PATIENCE_S)
         self.node.destroy_client(client)
         return future.result()
 
@@ -193,7 +194,7 @@ class Host:
 
     def close(self) -> None:
         for node in self.nodes:
-            assert node.stop(30.0)
+            assert node.stop(PATIENCE_S)
             self.executor.remove_node(node)
             node.destroy_node()
         self.executor.shutdown(timeout_sec=1.0)

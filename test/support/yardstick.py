@@ -6,7 +6,12 @@ import contextlib
 import os
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from svc_ros.ros.processes import ChildProcess
 
 # Until a test gives up: no promise, only longer than anything takes on a busy machine that has to compile first.
 PATIENCE_S = 300.0
@@ -61,13 +66,19 @@ def stolen_s() -> float:
     return 0.0
 
 
-def assert_ends_within(promise_s: float, process, signum: int = signal.SIGINT) -> None:
-    """Send `signum` to a ChildProcess; it has to end with exit code 0, in the time promised."""
-    with Stopwatch(process.pid) as watch:
-        process.interrupt(signum)
+def time_to_end(pid: int, has_ended: Callable[[], bool], ask: Callable[[], None]) -> Stopwatch:
+    """Ask a process to end, and wait until it has; what it was waiting for a processor is known to the last look."""
+    with Stopwatch(pid) as watch:
+        ask()
         end = time.monotonic() + PATIENCE_S
-        while process.exit_code is None and time.monotonic() < end:
+        while not has_ended() and time.monotonic() < end:
             watch.look()
             time.sleep(_LOOK_S)
+    return watch
+
+
+def assert_ends_within(promise_s: float, process: ChildProcess, signum: int = signal.SIGINT) -> None:
+    """Send `signum` to a process; it has to end with exit code 0, in the time promised."""
+    watch = time_to_end(process.pid, lambda: process.exit_code is not None, lambda: process.interrupt(signum))
     assert process.exit_code == 0, process.output()
     assert watch.own_s < promise_s, f"{watch}\n{process.output()}"

@@ -124,12 +124,12 @@ def read_between(cloud: Cloud, fill: int) -> CloudReading | InputError:
     buffer[MARGIN : MARGIN + size] = np.frombuffer(cloud.data, np.uint8)
     before, message = buffer.copy(), cloud.message()
     message.data = buffer[MARGIN : MARGIN + size]
-    start = time.perf_counter()
+    start = time.process_time()
     try:
         found: CloudReading | InputError = scan_from_cloud(message)
     except InputError as error:
         found = error
-    assert time.perf_counter() - start < MAX_SECONDS
+    assert time.process_time() - start < MAX_SECONDS
     np.testing.assert_array_equal(buffer, before)
     return found
 
@@ -187,7 +187,7 @@ def check(cloud: Cloud) -> str:
 def test_malformed_clouds_are_refused_by_name_or_read_rightly(batch: int) -> None:
     outcomes: Counter[str] = Counter()
     ways: Counter[str] = Counter()
-    start = time.perf_counter()
+    start = time.process_time()
     for number in range(BATCH):
         rng = random.Random(batch * BATCH + number)
         cloud, how = broken_cloud(rng, right_cloud(rng))
@@ -196,7 +196,7 @@ def test_malformed_clouds_are_refused_by_name_or_read_rightly(batch: int) -> Non
         except Exception as error:
             raise AssertionError(f"cloud {batch * BATCH + number}, broken by {how}: {cloud!r:.600}") from error
         ways.update(how)
-    assert time.perf_counter() - start < MAX_SECONDS_A_BATCH
+    assert time.process_time() - start < MAX_SECONDS_A_BATCH
     assert 0.2 * BATCH < outcomes["read"] < 0.8 * BATCH  # neither is rare
     assert set(ways) == set(MUTATIONS)
     assert min(ways.values()) > 20

@@ -148,8 +148,8 @@ def test_120k_points_take_less_than_10_ms(flavour: str) -> None:
     message = xyz_cloud(points).message(flavour)
     durations = []
     for _ in range(7):
-        start = time.perf_counter()
+        start = time.process_time()
         reading = scan_from_cloud(message)
-        durations.append(time.perf_counter() - start)
+        durations.append(time.process_time() - start)
     assert reading.num_dropped_nan == len(points[::7])
     assert min(durations) < 0.010
