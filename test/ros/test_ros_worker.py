@@ -230,9 +230,12 @@ def test_warm_up_runs_the_whole_registration(name, monkeypatch):
     results = []
     register = registrar_module.register_pair
     monkeypatch.setattr(registrar_module, "register_pair", lambda *a: results.append(register(*a)))
+    warm_up.cache_clear()
     warm_up(preset(name))
     same, other = results
     assert same.evidence is not None
     assert same.verdict is Verdict.ACCEPTED
     assert other.verdict is not Verdict.ACCEPTED
     assert other.time_ms["levelled"] > 0  # what only hard pairs need was run as well
+    warm_up(preset(name))
+    assert len(results) == 2  # a process that is warm has nothing to do

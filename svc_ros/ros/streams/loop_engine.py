@@ -6,6 +6,7 @@ Of the accepted loops between keyframes a pose graph is kept, to be written as a
 from __future__ import annotations
 
 import dataclasses
+import functools
 import logging
 import time
 from collections.abc import Callable
@@ -90,12 +91,8 @@ class LoopEngine:
             self._order.clear()
 
     def warm_up(self, config: Config) -> None:
-        """Register, match and look at a small made-up scene."""
-        warm_up(config)
-        scan, closer, own = made_up_scan(config), LoopCloser(config), odometry_by_matching(config)
-        for stamp_ns in (1, 1_000_000_001 + round(1e9 * config.loop_closure.min_gap_s)):
-            stamped = Scan(scan.points, stamp_ns)
-            closer.add(stamped, own(stamped) if self._own_odometry else None)
+        """See `warm_up_loops`."""
+        warm_up_loops(config, self._own_odometry)
 
     def judge_again(self, config: Config) -> dict[str, Any]:
         """Judge the last candidate's pose once more; see Engine."""
@@ -180,3 +177,13 @@ def _edge_only(loop: StreamDecision) -> StreamDecision:
 def _numbered(path: Path, number: int) -> Path:
     """loops.g2o, loops_2.g2o, loops_3.g2o ..."""
     return path if number == 0 else path.with_stem(f"{path.stem}_{number + 1}")
+
+
+@functools.lru_cache(maxsize=8)
+def warm_up_loops(config: Config, own_odometry: bool) -> None:
+    """Register, match and look at a small made-up scene, so that everything is compiled; once in a process."""
+    warm_up(config)
+    scan, closer, own = made_up_scan(config), LoopCloser(config), odometry_by_matching(config)
+    for stamp_ns in (1, 1_000_000_001 + round(1e9 * config.loop_closure.min_gap_s)):
+        stamped = Scan(scan.points, stamp_ns)
+        closer.add(stamped, own(stamped) if own_odometry else None)

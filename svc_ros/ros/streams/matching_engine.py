@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import time
 from collections.abc import Callable
 from typing import Any
@@ -58,14 +59,8 @@ class MatchingEngine:
         self._track = OdometryTrack()
 
     def warm_up(self, config: Config) -> None:
-        """Match a small made-up scan with itself, twice, so that everything is imported and compiled.
-
-        And register as a recovery will.
-        """
-        warm_up(config)
-        scan, matcher = made_up_scan(config), ScanMatcher(config)
-        for stamp_ns in (1, 100_000_001, 200_000_001):
-            matcher.add(Scan(scan.points, stamp_ns))
+        """See `warm_up_matching`."""
+        warm_up_matching(config)
 
     def judge_again(self, config: Config) -> dict[str, Any]:
         """Judge the last scan's pose once more, against the same keyframe; see Engine."""
@@ -121,3 +116,15 @@ def judge_stream_again(last: StreamDecision | None, config: Config) -> dict[str,
     result = verify(*last.scans, last.result.best_candidate, config)
     stamps = {"source_stamp_ns": last.source_stamp_ns, "target_stamp_ns": last.target_stamp_ns}
     return result_to_json(result, **stamps, origin=last.origin)
+
+
+@functools.lru_cache(maxsize=8)
+def warm_up_matching(config: Config) -> None:
+    """Match a small made-up scan with itself, twice, so that everything is imported and compiled; once in a process.
+
+    And register as a recovery will.
+    """
+    warm_up(config)
+    scan, matcher = made_up_scan(config), ScanMatcher(config)
+    for stamp_ns in (1, 100_000_001, 200_000_001):
+        matcher.add(Scan(scan.points, stamp_ns))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import time
 from collections import OrderedDict
@@ -142,10 +143,12 @@ def _look(works: tuple[ScanWork, ScanWork], T_target_source: Array | None, frame
     )
 
 
+@functools.lru_cache(maxsize=8)
 def warm_up(config: Config) -> None:
     """Register two small made-up scenes, so that everything is imported and compiled before the first real pair.
 
-    Each with itself is soon accepted; one with the other is looked at as long as any pair.
+    Each with itself is soon accepted; one with the other is looked at as long as any pair. A process that has done it
+    for this configuration is warm, and has nothing to do.
     """
     scan = made_up_scan(config)
     register_pair(scan, scan, config)
