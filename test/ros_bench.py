@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TypeVar
+from unittest import mock
 
 import numpy as np
 import rclpy
@@ -31,6 +33,7 @@ from svc_ros.ros.collector import DecisionCollector, spin_until
 from svc_ros.ros.conversions import cloud_message
 from svc_ros.ros.processes import ChildProcess, local_environment
 from svc_ros.ros.registration_node import RegistrationNode
+from svc_ros.ros.session import Session
 
 RELIABLE_INPUTS = [f"qos_overrides./{side}_points.subscription.reliability:=reliable" for side in ("source", "target")]
 SECOND = 1_000_000_000
@@ -40,6 +43,8 @@ Self = TypeVar("Self", bound="NodeBench")
 class NodeBench:
     """A node in a second process, and a node here that listens to its decisions; subclasses say what they play."""
 
+    name = "/svc_registration"
+
     def __init__(self, folder: Path, domain_id: int, settings: list[str]) -> None:
         args = ["--ros-args", *(part for setting in settings for part in ("-p", setting))]
         self.process = ChildProcess("svc_ros.ros.node", args, local_environment(domain_id), folder / "node.log")
@@ -48,7 +53,7 @@ class NodeBench:
         self.node = Node("bench", context=self._context)
         self.executor = SingleThreadedExecutor(context=self._context)
         self.executor.add_node(self.node)
-        self.collector = DecisionCollector(self.node, self.executor)
+        self.collector = DecisionCollector(self.node, self.executor, self.name)
 
     def wait_for_subscribers(self, timeout_s: float) -> bool:
         raise NotImplementedError
@@ -75,13 +80,21 @@ class NodeBench:
     def decisions_on(self, stamp_ns: int) -> list[dict[str, str]]:
         return [d for d in self.answers.decisions if d["source_stamp"] == text_from_ns(stamp_ns)]
 
-    def settle(self, seconds: float = 0.5) -> None:
-        """Receive what is still on its way."""
+    def pause(self, seconds: float) -> None:
+        """Receive for so long, and do nothing else."""
         spin_until(self.executor, lambda: False, seconds)
+
+    def settle(self) -> None:
+        """Receive what is still on its way; what was published and subscribed before has reached the node.
+
+        A call by a new client overtakes neither messages nor the discovery of what was there before it.
+        """
+        assert spin_until(self.executor, lambda: self.status()["output"]["waiting"] == 0, PATIENCE_S)
+        self.pause(0.1)
 
     def call(self, service_type, name: str, request):
         """The node's answer to a service call."""
-        client = self.node.create_client(service_type, f"/svc_registration/{name}")
+        client = self.node.create_client(service_type, f"{self.name}/{name}")
         assert client.wait_for_service(timeout_sec=PATIENCE_S)
         future = client.call_async(request)
         assert spin_until(self.executor, future.done, PATIENCE_S)
@@ -152,8 +165,17 @@ class StreamBench(NodeBench):
         return self.decisions_on(stamp_ns)[-1]
 
 
+@contextlib.contextmanager
+def without_warm_up() -> Iterator[None]:
+    """Nodes that are configured here compile with their first pair, what is not compiled yet."""
+    with mock.patch.object(Session, "_warm_up", return_value=None):
+        yield
+
+
 class Host:
     """One context and one executor, as a user's own program has them."""
+
+    is_warm = False
 
     def __init__(self, domain_id: int) -> None:
         self.domain_id = domain_id
@@ -165,11 +187,14 @@ class Host:
         self.nodes: list[RegistrationNode] = []
 
     def start(self, name: str = "svc_registration", **parameters) -> RegistrationNode:
+        """A node in this process. Only the first one warms up: everything is compiled then."""
         reliable = {f"qos_overrides./{t}.subscription.reliability": "reliable" for t in
                     ("points", "source_points", "target_points")}  # fmt: skip
         values = {"preset": "lidar_indoor", "process_every": True, **reliable, **parameters}
         given = [Parameter(key, value=value) for key, value in values.items()]
-        node = RegistrationNode(context=self.context, node_name=name, parameter_overrides=given)
+        with without_warm_up() if Host.is_warm else contextlib.nullcontext():
+            node = RegistrationNode(context=self.context, node_name=name, parameter_overrides=given)
+        Host.is_warm = Host.is_warm or parameters.get("autostart", True)
         self.nodes.append(node)
         self.executor.add_node(node)
         return node

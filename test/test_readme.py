@@ -202,6 +202,7 @@ def test_topics_and_services_are_those_of_the_node(monkeypatch):
     rclpy = pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
     from rclpy.context import Context
     from rclpy.parameter import Parameter
+    from ros_bench import without_warm_up
 
     from svc_ros.ros.processes import own_domain_id
     from svc_ros.ros.registration_node import RegistrationNode
@@ -213,9 +214,10 @@ def test_topics_and_services_are_those_of_the_node(monkeypatch):
     try:
         for mode in ("pair", "scan_matching", "loop_closure"):
             given = [Parameter("mode", value=mode), Parameter("odometry", value="topic")]
-            node = RegistrationNode(
-                context=context, parameter_overrides=given, enable_rosout=False, start_parameter_services=False
-            )
+            with without_warm_up():
+                node = RegistrationNode(
+                    context=context, parameter_overrides=given, enable_rosout=False, start_parameter_services=False
+                )
             inputs |= {described(s, "in") for s in node.subscriptions}
             outputs |= {described(p, "out") for p in node.publishers if p.topic_name != "/parameter_events"}
             services |= {
