@@ -50,7 +50,7 @@ def burst(bench, first_stamp: int, count: int, stretch: tuple[float, float, floa
         shift = np.array([0.0, 0.0, 0.001 * (first_stamp + k)])
         source = SCANS[1] * np.array(stretch) + shift
         bench.player.publish(cloud(source, first_stamp + k), cloud(SCANS[0] + shift, first_stamp + k))
-        bench.settle(0.02)
+        bench.pause(0.02)
 
 
 def told_by(bench) -> str:
@@ -111,7 +111,7 @@ def test_pairs_that_wait_when_the_node_is_disabled_or_reset_are_dropped_with_the
 def test_publishers_that_die_are_replaced_by_the_next(bench):
     assert bench.decide(cloud(SCANS[1], 400.0), cloud(SCANS[0], 400.0))["verdict"] == "accepted"
     bench.player.destroy()
-    bench.settle(1.0)
+    bench.settle()
     bench.player = CloudPlayer(bench.node, bench.executor, "/source_points", "/target_points")
     assert bench.player.wait_for_subscribers(PATIENCE_S)
     assert bench.decide(cloud(SCANS[1], 401.0), cloud(SCANS[0], 401.0))["verdict"] == "accepted"

@@ -78,7 +78,7 @@ def test_200_malformed_pairs_have_a_decision_each_and_the_next_pair_is_registere
                 bad = replace(broken[stamp - 1], stamp_ns=stamp * SECOND).message("rclpy")
                 pair = {"source": cloud(SCANS[2], stamp), "target": cloud(SCANS[0], stamp), side: bad}
                 bench.player.publish(pair["source"], pair["target"])
-                bench.settle(0.01)
+                bench.pause(0.01)
             assert bench.collector.wait_for_decision_on(stamps[-1] * SECOND, PATIENCE_S), bench.process.output()
             for stamp, side, decision in zip(stamps, sides, decisions_on(bench, stamps), strict=True):
                 check(decision, broken[stamp - 1], f"{side}: ")

@@ -44,35 +44,39 @@ DRIVE, WALK = ("bags", "hdl64_kitti_a_10hz"), ("bags", "os0_64_walk", "ros2_mcap
 LOOPS = {"mode": "loop_closure", "loop_closure.min_gap_s": 1.0, "loop_closure.keyframe_distance_m": 0.5}
 
 
-def computed_ms() -> dict[str, float]:
-    """How long each thread of this process has run on a processor so far."""
+def threads_ms() -> dict[str, tuple[float, float]]:
+    """Of each thread of this process, how long it has run on a processor so far, and waited for one."""
     times = {}
     for thread in THREADS.iterdir():
         with contextlib.suppress(OSError):  # it has ended meanwhile
-            times[thread.name] = 1e-6 * int((thread / "schedstat").read_text().split()[0])
+            ran, waited = (thread / "schedstat").read_text().split()[:2]
+            times[thread.name] = 1e-6 * int(ran), 1e-6 * int(waited)
     return times
 
 
 class Heart:
-    """A 100 Hz timer that writes down how late it is, and how much of that some thread of this process has computed.
+    """A 100 Hz timer that writes down how late it is, and how much of that some thread of this process is to blame for.
 
-    Whoever keeps the timer waiting computes meanwhile; a process that waits for a processor itself does not.
+    Whoever keeps the timer waiting computes meanwhile, and no thread has to wait for a processor.
     """
 
     def __init__(self, node) -> None:
         self.late_ms, self.kept_waiting_ms = [], []
-        self._node, self._last_s, self._computed = node, time.monotonic(), computed_ms()
+        self._node, self._last_s, self._threads = node, time.monotonic(), threads_ms()
         self._timer = node.create_timer(PERIOD_S, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def stop(self) -> None:
         self._node.destroy_timer(self._timer)
 
     def _tick(self) -> None:
-        now, computed = time.monotonic(), computed_ms()
+        now, threads = time.monotonic(), threads_ms()
         late = max(1e3 * (now - self._last_s - PERIOD_S), 0.0)
         self.late_ms.append(late)
-        self.kept_waiting_ms.append(min(late, max(t - self._computed.get(name, 0.0) for name, t in computed.items())))
-        self._last_s, self._computed = now, computed
+        before = {name: self._threads.get(name, (0.0, 0.0)) for name in threads}
+        computed = max(ran - before[name][0] for name, (ran, _) in threads.items())
+        waited = sum(waited - before[name][1] for name, (_, waited) in threads.items())
+        self.kept_waiting_ms.append(min(max(late - waited, 0.0), computed))
+        self._last_s, self._threads = now, threads
 
 
 @pytest.mark.skipif(not THREADS.is_dir(), reason="needs /proc of Linux")

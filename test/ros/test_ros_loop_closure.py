@@ -198,7 +198,7 @@ def test_a_good_guess_spares_the_search(bench, player):
     assert spin_until(bench.executor, guesses.get_subscription_count, PATIENCE_S)
     right = RegistrationResult(Verdict.ACCEPTED, Reason.OK, T_target_source=pose_between(1, 0))
     guesses.publish(pose_message(right, 2 * SECOND, "lidar"))
-    bench.settle(0.3)
+    bench.settle()
     decision = propose(bench, player, cloud(scan_room(POSES[1], 1), 2.0), cloud(scan_room(POSES[0], 0), 2.0))
     assert decision["verdict"] == "accepted"
     assert "counts.hypotheses" not in decision

@@ -198,7 +198,7 @@ def test_aligned_and_blocked_clouds_are_in_the_target_frame_while_somebody_looks
         bench.node.create_subscription(PointCloud2, f"/svc_registration/{name}", received.append, 10)
         for name, received in clouds.items()
     ]
-    bench.settle(0.5)
+    bench.settle()
     bench.decide(cloud(SCANS[1], 88.0, "moved"), cloud(SCANS[0], 88.0, "fixed"))
     assert spin_until(bench.executor, lambda: all(clouds.values()), PATIENCE_S)
     for subscription in subscriptions:
@@ -213,7 +213,7 @@ def test_aligned_and_blocked_clouds_are_in_the_target_frame_while_somebody_looks
 def test_sight_lines_are_drawn_while_somebody_looks(bench):
     arrays = []
     subscription = bench.node.create_subscription(MarkerArray, "/svc_registration/sight_lines", arrays.append, 10)
-    bench.settle(0.5)
+    bench.settle()
     bench.decide(cloud(SCANS[1], 88.5, "moved"), cloud(SCANS[0], 88.5, "fixed"))
     assert spin_until(bench.executor, lambda: arrays, PATIENCE_S)
     bench.node.destroy_subscription(subscription)
@@ -236,7 +236,7 @@ def test_good_guess_is_verified_and_spares_the_search(bench):
     assert spin_until(bench.executor, guesses.get_subscription_count, PATIENCE_S)
     right = RegistrationResult(Verdict.ACCEPTED, Reason.OK, T_target_source=pose_between(1, 0))
     guesses.publish(pose_message(right, 89 * SECOND, "lidar"))
-    bench.settle(0.3)
+    bench.settle()
     decision = bench.decide(cloud(SCANS[1], 89.0), cloud(SCANS[0], 89.0))
     assert decision["verdict"] == "accepted"
     assert "counts.hypotheses" not in decision
@@ -276,7 +276,7 @@ def test_disabled_node_drops_as_inactive(bench):
 def test_reset_gives_up_what_waits(bench):
     before = len(bench.answers.decisions)
     bench.player.publish(cloud(SCANS[1], 100.0), cloud(SCANS[0], 101.0))
-    bench.settle(0.2)
+    bench.settle()
     assert call(bench, Trigger, "reset", Trigger.Request()).success
     assert bench.collector.wait_for_decisions(before + 2, PATIENCE_S)
     assert {d["verdict"] for d in bench.answers.decisions[before:]} == {"dropped"}

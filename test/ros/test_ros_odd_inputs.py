@@ -19,7 +19,7 @@ from yardstick import PATIENCE_S, Stopwatch
 from svc_ros.core.se3 import pose_error
 from svc_ros.io.stamps import ns_from_stamp, text_from_ns
 from svc_ros.ros.bag_player import CloudPlayer
-from svc_ros.ros.collector import DecisionCollector, spin_until
+from svc_ros.ros.collector import spin_until
 from svc_ros.ros.processes import own_domain_id
 
 pytestmark = pytest.mark.dds
@@ -84,6 +84,8 @@ def pairs(tmp_path_factory):
 
 
 class Robot(NodeBench):
+    name = "/robot/matcher"
+
     def __init__(self, folder) -> None:
         reliable = [f"qos_overrides./lidar/{side}.subscription.reliability:=reliable" for side in ("new", "old")]
         super().__init__(folder, own_domain_id(91), ["preset:=lidar_indoor", "process_every:=true", *reliable])
@@ -91,7 +93,6 @@ class Robot(NodeBench):
             "-r", "__ns:=/robot", "-r", "__node:=matcher", "-r", "source_points:=/lidar/new",
             "-r", "target_points:=/lidar/old",
         ]  # fmt: skip
-        self.collector = DecisionCollector(self.node, self.executor, "/robot/matcher")
         self.player = CloudPlayer(self.node, self.executor, "/lidar/new", "/lidar/old")
 
     def wait_for_subscribers(self, timeout_s: float) -> bool:

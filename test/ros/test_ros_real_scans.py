@@ -49,7 +49,7 @@ def test_plays_real_scans_and_gets_one_decision_a_pair(shared_data, bench):
     cases = read_cases(shared_data)
     for k, case in enumerate(cases, 1):  # all at once: the node's queue is tested too
         bench.player.publish(cloud(case.source, k), cloud(case.target, k))
-        bench.settle(0.05)
+        bench.pause(0.05)
     assert bench.collector.wait_for_decisions(len(cases), PATIENCE_S), bench.process.output()
     bench.settle()
 
@@ -79,6 +79,6 @@ def test_ctrl_c_in_the_middle_of_a_pair_ends_the_node(shared_data, bench):
     case = read_cases(shared_data)[0]
     for stamp in (1, 2, 3):
         bench.player.publish(cloud(case.source + stamp, stamp), cloud(case.target + stamp, stamp))
-    bench.settle(0.6)
+    bench.pause(0.6)
     assert_ends_within(2.0, bench.process)
     assert "Traceback" not in bench.process.output()

@@ -40,6 +40,8 @@ Self = TypeVar("Self", bound="NodeBench")
 class NodeBench:
     """A node in a second process, and a node here that listens to its decisions; subclasses say what they play."""
 
+    name = "/svc_registration"
+
     def __init__(self, folder: Path, domain_id: int, settings: list[str]) -> None:
         args = ["--ros-args", *(part for setting in settings for part in ("-p", setting))]
         self.process = ChildProcess("svc_ros.ros.node", args, local_environment(domain_id), folder / "node.log")
@@ -48,7 +50,7 @@ class NodeBench:
         self.node = Node("bench", context=self._context)
         self.executor = SingleThreadedExecutor(context=self._context)
         self.executor.add_node(self.node)
-        self.collector = DecisionCollector(self.node, self.executor)
+        self.collector = DecisionCollector(self.node, self.executor, self.name)
 
     def wait_for_subscribers(self, timeout_s: float) -> bool:
         raise NotImplementedError
@@ -75,13 +77,21 @@ class NodeBench:
     def decisions_on(self, stamp_ns: int) -> list[dict[str, str]]:
         return [d for d in self.answers.decisions if d["source_stamp"] == text_from_ns(stamp_ns)]
 
-    def settle(self, seconds: float = 0.5) -> None:
-        """Receive what is still on its way."""
+    def pause(self, seconds: float) -> None:
+        """Receive for so long, and do nothing else."""
         spin_until(self.executor, lambda: False, seconds)
+
+    def settle(self) -> None:
+        """Receive what is still on its way; what was published and subscribed before has reached the node.
+
+        A call by a new client overtakes neither messages nor the discovery of what was there before it.
+        """
+        assert spin_until(self.executor, lambda: self.status()["output"]["waiting"] == 0, PATIENCE_S)
+        self.pause(0.1)
 
     def call(self, service_type, name: str, request):
         """The node's answer to a service call."""
-        client = self.node.create_client(service_type, f"/svc_registration/{name}")
+        client = self.node.create_client(service_type, f"{self.name}/{name}")
         assert client.wait_for_service(timeout_sec=PATIENCE_S)
         future = client.call_async(request)
         assert spin_until(self.executor, future.done, PATIENCE_S)
@@ -165,6 +175,7 @@ class Host:
         self.nodes: list[RegistrationNode] = []
 
     def start(self, name: str = "svc_registration", **parameters) -> RegistrationNode:
+        """A node in this process."""
         reliable = {f"qos_overrides./{t}.subscription.reliability": "reliable" for t in
                     ("points", "source_points", "target_points")}  # fmt: skip
         values = {"preset": "lidar_indoor", "process_every": True, **reliable, **parameters}

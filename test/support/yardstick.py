@@ -39,13 +39,18 @@ class Stopwatch:
     def __exit__(self, *_exception: object) -> None:
         self.elapsed_s = time.monotonic() - self._start
         self.look()
-        waited_s = 1e-9 * (sum(self._waited_ns.values()) - self._waited_before_ns)
-        self.others_s = min(waited_s + stolen_s() - self._stolen_before_s, self.elapsed_s)
+        self.others_s = min(self.others_so_far_s, self.elapsed_s)
 
     @property
     def own_s(self) -> float:
         """Time of the block without that of other programs."""
         return self.elapsed_s - self.others_s
+
+    @property
+    def others_so_far_s(self) -> float:
+        """What other programs have had since the beginning, up to the last look."""
+        waited_ns = sum(self._waited_ns.values()) - self._waited_before_ns
+        return 1e-9 * waited_ns + stolen_s() - self._stolen_before_s
 
     def look(self) -> None:
         """Read how long the threads have waited; what a thread has waited since the last look is lost when it ends."""
