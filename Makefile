@@ -5,7 +5,8 @@
 # A sourced ROS brings its own rclpy; the environment is then made another way (tools/setup.sh).
 MODE := $(if $(ROS_DISTRO)$(AMENT_PREFIX_PATH),apt,wheels)
 PY := .venv/bin/python
-WORKERS ?= 2 # processes that run tests side by side; the tests of one file stay together
+# Processes that run tests side by side, each with one thread of BLAS; the tests of one file stay together.
+WORKERS ?= 3
 STAMP := .venv/.ready-$(MODE)
 BENCHMARKS := $(sort $(wildcard benchmarks/*.py))
 
@@ -35,7 +36,7 @@ type: setup
 	$(PY) -m mypy
 
 test: setup
-	$(PY) -m pytest -m "not slow" -n $(WORKERS) --dist loadfile
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PY) -m pytest -m "not slow" -n $(WORKERS) --dist loadfile
 
 test-slow: setup
 	$(PY) -m pytest -m slow

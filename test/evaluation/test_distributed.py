@@ -94,6 +94,7 @@ def test_a_broken_scan_is_told_as_in_the_serial_run(room, tmp_path, pair_of_work
     assert "gone0.bin" in texts[0]
 
 
+@pytest.mark.slow
 def test_what_a_killed_worker_had_to_do_is_done_by_another(room, tmp_path):
     dataset = read_dataset(many_pairs(room, 12))
     serial = evaluate_dataset(dataset, CONFIG)

@@ -78,6 +78,7 @@ def test_the_example_joins_register(example):
     assert counts["correspondences"] > counts["more_correspondences"]
 
 
+@pytest.mark.slow
 def test_the_example_joins_evaluate_also_over_processes(example, tmp_path):
     folder = mini_data.write_dataset(tmp_path / "room")
     config = write_config(tmp_path / "mine.yaml", "spin_images, fpfh_wide")
