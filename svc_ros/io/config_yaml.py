@@ -133,6 +133,14 @@ def _parameters(told: Sequence[FieldInfo], preset_name: str) -> str:
     return "\n".join(lines) + "\n"
 
 
+def config_folder() -> Path:
+    """The folder of presets and profiles: in the checkout, else under share/ of the prefix that was installed into."""
+    package = Path(__file__).resolve().parent.parent
+    checkout = package.parent / "config"
+    shares = [parent / "share" / "svc_ros" / "config" for parent in package.parents]
+    return next((folder for folder in (checkout, *shares) if folder.is_dir()), checkout)
+
+
 def write_preset_files(folder: str | Path) -> list[Path]:
     """Write one YAML file a preset into an existing folder and return the paths, in the order of PRESETS."""
     paths = [Path(folder) / f"{name}.yaml" for name in PRESETS]

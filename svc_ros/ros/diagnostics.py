@@ -13,7 +13,9 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from svc_ros.core.result import Reason, Verdict
 from svc_ros.core.scan import Array
+from svc_ros.ros.middleware import cure
 from svc_ros.ros.streams.decision import Decision
+from svc_ros.ros.topics.loss import LossMonitor
 
 _RATE_WINDOW_S = 10.0
 _STALE_AFTER_S = 5.0
@@ -59,7 +61,7 @@ class Statistics:
         self.node = node
         self.inputs = {name: InputMonitor(is_needed) for name, is_needed in inputs.items()}
         self.qos_problems: dict[str, str] = {}
-        self.num_lost: dict[str, int] = {}  # messages of a topic that the middleware lost, and says so
+        self.losses: dict[str, LossMonitor] = {}  # by topic, as the node names it
         self.fault = ""
         self._lock = threading.Lock()
         self._verdicts: Counter[str] = Counter({verdict.value: 0 for verdict in Verdict})
@@ -136,9 +138,13 @@ def _input_status(statistics: Statistics, now: float) -> DiagnosticStatus:
         if is_expected and monitor.silence_s(now) > _STALE_AFTER_S:
             silent.append(side)
     values |= {f"qos_{topic}": text for topic, text in statistics.qos_problems.items()}
-    values |= {f"lost_{topic}": count for topic, count in statistics.num_lost.items()}
+    values |= {f"lost_{topic}": loss.num_lost for topic, loss in statistics.losses.items()}
+    losses = {topic: lost for topic, loss in statistics.losses.items() if (lost := loss.warning(now))}
     if statistics.qos_problems:
         return _status("input", _ERROR, "incompatible QoS: " + ", ".join(statistics.qos_problems), values)
+    if losses:
+        told = "; ".join(f"{topic}: {lost}" for topic, lost in losses.items())
+        return _status("input", _WARN, f"{told}: {cure()}", values)
     if silent:
         return _status("input", _WARN, f"no clouds for {_STALE_AFTER_S:g} s: " + ", ".join(silent), values)
     return _status("input", _OK, "clouds arrive", values)
@@ -155,9 +161,7 @@ def _worker_status(flow: Mapping[str, Any], numbers: Mapping[str, Any], process_
     return _status("worker", _OK, "ready", values)
 
 
-def _decision_status(
-    statistics: Statistics, numbers: Mapping[str, Any], output: Mapping[str, Any]
-) -> DiagnosticStatus:
+def _decision_status(statistics: Statistics, numbers: Mapping[str, Any], output: Mapping[str, Any]) -> DiagnosticStatus:
     run = numbers["rejects_in_a_row"]
     values = {**numbers["decisions"], **numbers["jobs"], **{f"reason_{k}": n for k, n in numbers["reasons"].items()}}
     values |= {"rejects_in_a_row": run, **{f"output_{name}": value for name, value in output.items()}}

@@ -41,9 +41,11 @@ def _start(args: list[str] | None) -> int:
     except (RCLError, UnknownROSArgsError) as error:
         return _refuse(str(error).replace("\n", " "))
     try:
+        from svc_ros.ros.middleware import receiving_transports
         from svc_ros.ros.registration_node import RegistrationNode
 
-        node = RegistrationNode()
+        with receiving_transports():
+            node = RegistrationNode()
     except (SvcError, ImportError) as error:
         rclpy.try_shutdown()
         return _refuse(str(error))

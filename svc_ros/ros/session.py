@@ -94,6 +94,7 @@ class Session:
     def tell(self) -> None:
         """Publish diagnostics and the way so far; nothing if the session ends meanwhile on another thread."""
         settings = self._parameters.settings
+        self.inputs.tell_losses()
         with self.inputs.lock:
             message = DiagnosticArray(status=statuses(self.statistics, self.flow(), settings.process_every))
         message.header.stamp = self._node.get_clock().now().to_msg()
@@ -116,7 +117,7 @@ class Session:
                 **({} if parameters.choice is None else {"chosen": dict(parameters.choice.summary())}),
                 "method": parameters.config.method,
                 "received": {name: monitor.num_received for name, monitor in self.statistics.inputs.items()},
-                "lost": dict(self.statistics.num_lost),
+                "lost": {topic: loss.num_lost for topic, loss in self.statistics.losses.items()},
                 **self.flow(),
                 **self.statistics.numbers(),
             }

@@ -112,7 +112,7 @@ class Bench(NodeBench):
 
     def __init__(self, folder: Path, domain_id: int, parameters: dict[str, str] | None = None) -> None:
         settings = [f"{name}:={value}" for name, value in (parameters or {}).items()]
-        super().__init__(folder, domain_id, [*settings, *RELIABLE_INPUTS])
+        super().__init__(folder, domain_id, [*RELIABLE_INPUTS, *settings])
         self.player = CloudPlayer(self.node, self.executor, "/source_points", "/target_points")
 
     def wait_for_subscribers(self, timeout_s: float) -> bool:
@@ -133,7 +133,7 @@ class StreamBench(NodeBench):
     def __init__(self, folder: Path, domain_id: int, parameters: dict[str, str]) -> None:
         settings = [f"{name}:={value}" for name, value in parameters.items()]
         reliable = [*RELIABLE_INPUTS, "qos_overrides./points.subscription.reliability:=reliable"]
-        super().__init__(folder, domain_id, [*settings, *reliable])
+        super().__init__(folder, domain_id, [*reliable, *settings])
         self.points = self.node.create_publisher(PointCloud2, "/points", QoSProfile(depth=100))
         self.odometry: list[Odometry] = []
         self.paths: list[PathMessage] = []

@@ -16,12 +16,11 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-import svc_ros
 from svc_ros.cli.doctor.bag import check_bag
 from svc_ros.cli.doctor.finding import Finding, Level
 from svc_ros.core.config import PRESETS
 from svc_ros.core.errors import SvcError
-from svc_ros.io.config_yaml import read_config
+from svc_ros.io.config_yaml import config_folder, read_config
 
 __all__ = ["Finding", "Level", "check_bag", "check_installation"]
 
@@ -68,7 +67,7 @@ def check_installation(preset_folder: Path | None = None) -> list[Finding]:
         *check_system_libraries(open3d_works),
         *check_ros(sys.path),
         *optional,
-        *check_presets(preset_folder or _preset_folder()),
+        *check_presets(preset_folder or config_folder()),
     ]
 
 
@@ -115,14 +114,6 @@ def _check_preset(name: str, path: Path) -> Finding:
     except SvcError as error:
         return Finding(f"preset {name}", "error", str(error), "mend the file, or print a good one: svc_ros config")
     return Finding(f"preset {name}", "ok", str(path))
-
-
-def _preset_folder() -> Path:
-    """Beside the package in a checkout, else under share/ of the prefix that the package was installed into."""
-    package = Path(svc_ros.__file__).resolve().parent
-    checkout = package.parent / "config"
-    shares = [parent / "share" / "svc_ros" / "config" for parent in package.parents]
-    return next((folder for folder in (checkout, *shares) if folder.is_dir()), checkout)
 
 
 def _check_python() -> Finding:

@@ -6,7 +6,7 @@ import copy
 import functools
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -21,15 +21,18 @@ from svc_ros.core.errors import InputError
 from svc_ros.io.stamps import ns_from_stamp
 from svc_ros.pipeline.pairing import Event, Matched, Side, StampPairer
 from svc_ros.ros.diagnostics import Statistics
+from svc_ros.ros.middleware import cure
 from svc_ros.ros.parameters import NodeParameters
 from svc_ros.ros.streams.worker import Cloud, DropJob, Job, PairJob, ScanJob
 from svc_ros.ros.topics.conversions import pose_from_message
+from svc_ros.ros.topics.loss import LossMonitor
 from svc_ros.ros.topics.poses import PoseBuffer
 
 _KEPT_GUESSES, _KEPT_ODOMETRY = 16, 1000
 _RELIABLE = QoSProfile(depth=10)
 _ODOMETRY_DEPTH = QoSProfile(depth=100)
-_DEPTH_OF_EVERY = 100  # with `process_every`: clouds that the middleware keeps while the executor has no time for them
+# Clouds that the middleware keeps while the executor has no time for them; with `process_every` none may be lost.
+_DEPTH, _DEPTH_OF_EVERY = 10, 100
 
 CLOUD_INPUTS: dict[str, dict[str, bool]] = {  # of each mode: name, and whether the mode cannot do without it
     "pair": {"source": True, "target": True},
@@ -56,6 +59,7 @@ class Inputs:
         self._last_cloud_s = time.monotonic()
         self._last_stamp_ns = 0
         self._subscriptions: list[Any] = []
+        self._told_losses: set[str] = set()
         settings = parameters.settings
         names = CLOUD_INPUTS[settings.mode]
         for name in names:
@@ -79,6 +83,14 @@ class Inputs:
         self.guesses.clear()
         self.odometry.clear()
 
+    def tell_losses(self) -> None:
+        """Say once for each topic that messages are lost, and what to do about it."""
+        for topic, loss in self._statistics.losses.items():
+            if topic not in self._told_losses and (lost := loss.warning(time.monotonic())):
+                self._told_losses.add(topic)
+                name = self._node.resolve_topic_name(topic)
+                self._node.get_logger().warning(f"{name}: {lost} before they reached this node; {cure()}")
+
     def is_ahead_of(self, now_ns: int) -> bool:
         """True if the last cloud is of a time that has not come yet: the clock has jumped back."""
         return self._last_stamp_ns > now_ns
@@ -90,8 +102,7 @@ class Inputs:
 
     def _subscribe_clouds(self, name: str) -> None:
         qos = copy.copy(qos_profile_sensor_data)
-        if self._parameters.settings.process_every:
-            qos.depth = _DEPTH_OF_EVERY  # of more than 5 at once the middleware would lose the oldest, uncounted
+        qos.depth = _DEPTH_OF_EVERY if self._parameters.settings.process_every else _DEPTH
         if name == "points":
             self._subscribe(PointCloud2, "points", self._on_scan, qos)
         else:
@@ -103,11 +114,19 @@ class Inputs:
             self._statistics.qos_problems[topic] = f"{info.last_policy_kind} differs from the publisher's"
             self._node.get_logger().error(f"{topic}: a publisher's QoS does not fit; see qos_overrides./{topic}")
 
+        loss = self._statistics.losses.setdefault(topic, LossMonitor())
+        publishers = functools.partial(self._node.count_publishers, topic)
+
         def on_lost(info: QoSMessageLostInfo) -> None:
-            self._statistics.num_lost[topic] = info.total_count
+            loss.report(info.total_count, time.monotonic())
+
+        def on_message(message: Any, about: Mapping[str, Any]) -> None:
+            number = about["publication_sequence_number"]
+            loss.take(number if publishers() == 1 else None, time.monotonic())
+            callback(message)
 
         subscription = self._node.create_subscription(
-            kind, topic, callback, copy.copy(qos),  # rclpy writes what is overridden into the profile that it is given
+            kind, topic, on_message, copy.copy(qos),  # rclpy writes what is overridden into the profile it is given
             event_callbacks=SubscriptionEventCallbacks(incompatible_qos=on_incompatible, message_lost=on_lost),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )  # fmt: skip

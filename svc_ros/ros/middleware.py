@@ -1,0 +1,89 @@
+"""Transports that big clouds arrive by, and what to tell others to set. Fast DDS's own defaults lose them.
+
+By default a process of the same machine is sent to through shared memory of the sender, 512 KiB: of a cloud of 1.4 MB
+the beginning is overwritten before the reader has seen it. Who receives cannot change that, but can be reached by UDP
+alone, into socket buffers of its own. See docs/middleware.md.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from svc_ros.io.config_yaml import config_folder
+
+PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+PROFILE_NAME = "fastdds_large_clouds.xml"
+SOCKET_BUFFER = 4 * 1024 * 1024  # bytes, as in the profile
+_MOST_OF_USE = 32 * 1024 * 1024  # bytes; of what the kernel allows
+_CHOICES = (PROFILE_VARIABLE, "FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS")
+_OWN_FILE = "DEFAULT_FASTRTPS_PROFILES.xml"  # Fast DDS reads it in the working directory
+_DEFAULT_RMW = "rmw_fastrtps_cpp"  # of Jazzy
+_LARGEST_BUFFER = Path("/proc/sys/net/core/rmem_max")
+# What is sent here is announced by UDP addresses only, so that nobody sends it through a segment that is too small.
+_BY_UDP_ONLY = "<defaultUnicastLocatorList><locator><udpv4/></locator></defaultUnicastLocatorList>"
+
+
+def profile_path() -> Path:
+    """Where config/fastdds_large_clouds.xml lies: in the checkout, or where the package was installed."""
+    return config_folder() / PROFILE_NAME
+
+
+def is_set_by_user(environment: Mapping[str, str] = os.environ) -> bool:
+    """True if somebody has chosen transports for Fast DDS already: they are left alone then."""
+    has_file = Path(_OWN_FILE).is_file() and environment.get("SKIP_DEFAULT_XML_FILE") != "1"
+    return has_file or any(environment.get(name) for name in _CHOICES)
+
+
+def with_profile(environment: Mapping[str, str] = os.environ) -> dict[str, str]:
+    """The environment for programs that send clouds, and for who listens to them: with the shipped profile.
+
+    What the user has set stays.
+    """
+    is_wanted = profile_path().is_file() and not is_set_by_user(environment)
+    return {**environment, **({PROFILE_VARIABLE: str(profile_path())} if is_wanted else {})}
+
+
+@contextlib.contextmanager
+def receiving_transports() -> Iterator[bool]:
+    """While this lasts, the first node of the process is made so that big clouds reach it, whoever sends them.
+
+    Yields False, and changes nothing, where the user has chosen transports or the shipped profile is missing. The
+    middleware reads its profile when the first node of a process is made, and never again.
+    """
+    if is_set_by_user() or not profile_path().is_file():
+        yield False
+        return
+    wanted = min(max(largest_socket_buffer() or 0, SOCKET_BUFFER), _MOST_OF_USE)
+    text = profile_path().read_text(encoding="utf-8").replace("<rtps>", f"<rtps>{_BY_UDP_ONLY}")
+    text = text.replace(f"<receiveBufferSize>{SOCKET_BUFFER}<", f"<receiveBufferSize>{wanted}<")
+    with tempfile.TemporaryDirectory(prefix="svc_ros_") as folder:
+        path = Path(folder, PROFILE_NAME)
+        path.write_text(text, encoding="utf-8")
+        os.environ[PROFILE_VARIABLE] = str(path)
+        try:
+            yield True
+        finally:
+            os.environ.pop(PROFILE_VARIABLE, None)
+
+
+def largest_socket_buffer() -> int | None:
+    """What the kernel lets a socket keep [bytes]; None where it does not say."""
+    try:
+        return int(_LARGEST_BUFFER.read_text())
+    except (OSError, ValueError):
+        return None
+
+
+def cure() -> str:
+    """What to do where clouds are lost, in one line."""
+    steps = []
+    largest, implementation = largest_socket_buffer(), os.environ.get("RMW_IMPLEMENTATION") or _DEFAULT_RMW
+    if largest is not None and largest < SOCKET_BUFFER:
+        steps.append(f"sudo sysctl -w net.core.rmem_max={SOCKET_BUFFER} (it is {largest})")
+    if "fastrtps" in implementation:
+        steps.append(f"export {PROFILE_VARIABLE}={profile_path()} in the driver's terminal and in this node's")
+    return ", or ".join(steps) if steps else f"docs/middleware.md says what {implementation} needs"
