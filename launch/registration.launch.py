@@ -24,6 +24,8 @@ ARGUMENTS = {
     "base_frame": ("", "frame whose pose scan_matching tells; '' for the cloud's frame"),
     "sensor_frame": ("", "frame of the sensor, where clouds are in another one; '' for the cloud's frame"),
     "publish_tf": ("false", "accepted transforms on /tf too (pair, scan_matching)"),
+    "invert_odom_tf": ("false", "scan_matching's /tf has odom_frame as the child, not as the parent"),
+    "map_frame": ("", "pair: accepted pairs tell where odom_frame stands in this frame, on /tf; '' for not"),
     "graph_file": ("", "loop_closure writes its pose graph here; '' for nowhere"),
     "process_every": ("false", "compute every pair or scan, however many wait: for bags"),
     "reliable": ("false", "ask for reliable clouds, which needs publishers that are reliable"),
@@ -38,10 +40,10 @@ CHOICES = {
     "preset": ["lidar_outdoor", "lidar_indoor", "rgbd_indoor", "auto"],
     "method": ["svc", "svc_paper", "sc2"],
     "odometry": ["own", "topic", "tf"],
-    **dict.fromkeys(("publish_tf", "process_every", "reliable", "use_sim_time", "rviz"), SWITCH),
+    **dict.fromkeys(("publish_tf", "invert_odom_tf", "process_every", "reliable", "use_sim_time", "rviz"), SWITCH),
 }
-TEXTS = ("mode", "preset", "method", "odometry", "odom_frame", "base_frame", "sensor_frame", "graph_file")
-SWITCHES = ("publish_tf", "process_every", "use_sim_time")
+TEXTS = ("mode", "preset", "method", "odometry", "odom_frame", "base_frame", "sensor_frame", "map_frame", "graph_file")
+SWITCHES = ("publish_tf", "invert_odom_tf", "process_every", "use_sim_time")
 INPUTS = {"source_points": "source", "target_points": "target", "points": "points"}
 OTHER_INPUTS = ("initial_guess", "odom")
 SHOWN = ("aligned", "blocked_points", "sight_lines", "pose", "odometry", "path")
