@@ -15,6 +15,8 @@ from svc_ros.core.scan import Array, PreparedScan
 from svc_ros.core.se3 import apply, rotate
 from svc_ros.core.sight.placement import Placement
 
+_FOR_EXTENT = 1000
+
 
 @dataclass(frozen=True, eq=False)
 class SurfaceContact:
@@ -22,8 +24,8 @@ class SurfaceContact:
 
     information: (6, 6) sum of J^T J, J = [n, p x n], p the placed source point and n the normal of the target surface
     that it lies on: translation [m], then rotation [rad] about the target's origin; num_points: how many;
-    sum_squared_m2: of their residuals; middle: (3,) [m], mean of the points; lever_m2: (3, 3), v' lever_m2 v is their
-    mean squared distance from the line through the middle along a unit vector v.
+    sum_squared_m2: of their residuals; middle: (3,) [m], mean of some of the points; lever_m2: (3, 3), v' lever_m2 v is
+    their mean squared distance from the line through the middle along a unit vector v.
     """
 
     information: Array
@@ -90,11 +92,12 @@ def find_contact(target: PreparedScan, placement: Placement, config: SightViewCo
 
 
 def _extent(target: PreparedScan, placement: Placement, config: SightViewConfig) -> tuple[Array, Array]:
-    """Middle and lever of the points that touch; see SurfaceContact."""
-    T, near = placement.T_observer_other, np.flatnonzero(placement.nearest >= 0)
-    facing = np.einsum("ij,ij->i", rotate(T, placement.other.normals[near]), target.normals[placement.nearest[near]])
-    touching = near[facing > config.same_side_cosine]
-    return middle_and_lever(apply(T, placement.other.points[touching]))
+    """Middle and lever of the points that touch; of at most about a thousand of them, since both are but a scale."""
+    near = np.flatnonzero(placement.nearest >= 0)
+    some, T = near[:: max(1, len(near) // _FOR_EXTENT)], placement.T_observer_other
+    normals = rotate(T, placement.other.normals[some])
+    facing = np.einsum("ij,ij->i", normals, target.normals[placement.nearest[some]])
+    return middle_and_lever(apply(T, placement.other.points[some[facing > config.same_side_cosine]]))
 
 
 def middle_and_lever(points: Array) -> tuple[Array, Array]:

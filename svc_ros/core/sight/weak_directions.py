@@ -15,6 +15,7 @@ if TYPE_CHECKING:  # it brings numba, which the help of the command line does wi
     from svc_ros.core.sight.observability import SurfaceContact
 
 _NEARLY_PARALLEL = 0.985  # cosine of 10 deg: nearer to an axis it is called by the axis
+_OF_TURNS = 0.25  # surfaces face the sensor that sees them, and so resist turns by less than shifts wherever it stands
 _STRAY = 1e-3  # share of points that may face any way: what only they resist is free
 
 
@@ -54,7 +55,9 @@ class WeakDirection:
 
 
 def find_weak_directions(contact: SurfaceContact, limit: float) -> tuple[WeakDirection, ...]:
-    """The shifts and turns that the contact resists by less than `limit`, shifts first, those along axes in order.
+    """The shifts that the contact resists by less than `limit`, and the turns by less than a quarter of that.
+
+    Shifts first, and of each kind those along axes, in their order.
 
     A shift is asked about with the scan's attitude held; a turn with its place free, so that it is the turn itself,
     about whatever line suits it best. Without a single agreeing point all six are weak.
@@ -63,7 +66,7 @@ def find_weak_directions(contact: SurfaceContact, limit: float) -> tuple[WeakDir
     shifts, coupling = information[:3, :3], information[3:, :3]
     turns = information[3:, 3:] - coupling @ np.linalg.solve(shifts + _STRAY * np.eye(3), coupling.T)
     lever = contact.lever_m2 + 1e-9 * max(np.trace(contact.lever_m2), 1.0) * np.eye(3)  # of points on one line, too
-    return (*_weak(Motion.SHIFT, shifts, np.eye(3), limit), *_weak(Motion.TURN, turns, lever, limit))
+    return (*_weak(Motion.SHIFT, shifts, np.eye(3), limit), *_weak(Motion.TURN, turns, lever, _OF_TURNS * limit))
 
 
 def names_of(directions: Sequence[WeakDirection]) -> str:
