@@ -14,6 +14,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from mini_data import POSES, pose_between, scan_room, write_bin
 from pages import PAGES, blocks
 from rclpy.qos import QoSProfile
@@ -28,6 +29,7 @@ from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.se3 import invert, make_pose, pose_error
 from svc_ros.io.stamps import ns_from_stamp
 from svc_ros.ros.collector import DecisionCollector, spin_until
+from svc_ros.ros.diagnostics import Statistics, statuses
 from svc_ros.ros.parameters import NodeSettings
 from svc_ros.ros.processes import local_environment, own_domain_id
 from svc_ros.ros.streams.decision import Decision
@@ -288,6 +290,15 @@ def test_a_target_that_is_no_known_place_tells_nothing(monkeypatch, source, targ
     (warning,) = bench.warnings
     assert target in warning
     assert bench.output.numbers() == {"map_updates": 0, "map_problem": warning.partition("not used: ")[2]}
+
+
+def test_a_pair_that_could_not_be_used_is_a_warning():
+    flow = {"pairing": {}, "worker": {"ready": True, "enabled": True, "queue": 0, "queue_size": 1}}
+    for problem, level in (("no odometry", DiagnosticStatus.WARN), ("", DiagnosticStatus.OK)):
+        flow["output"] = {"reader_stopped": False, "map_updates": 1, "map_problem": problem}
+        decisions = statuses(Statistics({}), flow, False)[-1]
+        assert decisions.level == level
+        assert problem in decisions.message
 
 
 @pytest.mark.parametrize(
