@@ -5,8 +5,10 @@
 
 from pathlib import Path
 
+from launch.actions import LogInfo
 from launch_ros.actions import Node
 
+from svc_ros.ros.discovery.inputs import find_live, full_name
 from svc_ros.ros.launch_arguments import MODE, MODES, NODE_NAME, describe, given_values
 
 ARGUMENTS = {
@@ -14,16 +16,18 @@ ARGUMENTS = {
     "preset": ("lidar_outdoor", "defaults of all parameters: lidar_outdoor, lidar_indoor, rgbd_indoor or auto"),
     "method": ("svc", "how a pose is chosen and judged: svc, svc_paper or sc2"),
     "params_file": ("", "YAML file of parameters; what it sets has precedence over all arguments; '' for none"),
-    "source": ("source_points", "topic of the clouds that are aligned (pair, candidates of loop_closure)"),
-    "target": ("target_points", "topic of the clouds that they are aligned to"),
-    "points": ("points", "topic of the scans (scan_matching, loop_closure)"),
+    "source": ("", "topic of the clouds that are aligned (pair, candidates of loop_closure); '' for source_points"),
+    "target": ("", "topic of the clouds that they are aligned to; '' for target_points"),
+    "points": ("", "topic of the scans (scan_matching, loop_closure); '' for points if it is there, else the only one"),
     "initial_guess": ("initial_guess", "topic of guesses of the source's pose in the target frame"),
     "odom": ("odom", "topic of odometry (loop_closure with odometry:=topic)"),
     "odometry": ("own", "where loop_closure has its odometry from: own, topic or tf"),
     "odom_frame": ("odom", "frame of the odometry"),
-    "base_frame": ("", "frame whose pose scan_matching tells; '' for the cloud's frame"),
+    "base_frame": ("", "frame whose pose scan_matching tells; '' for the cloud's, with publish_tf a fixed base_link"),
     "sensor_frame": ("", "frame of the sensor, where clouds are in another one; '' for the cloud's frame"),
     "publish_tf": ("false", "accepted transforms on /tf too (pair, scan_matching)"),
+    "invert_odom_tf": ("false", "scan_matching's /tf has odom_frame as the child, not as the parent"),
+    "map_frame": ("", "pair: accepted pairs tell where odom_frame stands in this frame, on /tf; '' for not"),
     "graph_file": ("", "loop_closure writes its pose graph here; '' for nowhere"),
     "process_every": ("false", "compute every pair or scan, however many wait: for bags"),
     "reliable": ("false", "ask for reliable clouds, which needs publishers that are reliable"),
@@ -38,10 +42,10 @@ CHOICES = {
     "preset": ["lidar_outdoor", "lidar_indoor", "rgbd_indoor", "auto"],
     "method": ["svc", "svc_paper", "sc2"],
     "odometry": ["own", "topic", "tf"],
-    **dict.fromkeys(("publish_tf", "process_every", "reliable", "use_sim_time", "rviz"), SWITCH),
+    **dict.fromkeys(("publish_tf", "invert_odom_tf", "process_every", "reliable", "use_sim_time", "rviz"), SWITCH),
 }
-TEXTS = ("mode", "preset", "method", "odometry", "odom_frame", "base_frame", "sensor_frame", "graph_file")
-SWITCHES = ("publish_tf", "process_every", "use_sim_time")
+TEXTS = ("mode", "preset", "method", "odometry", "odom_frame", "base_frame", "sensor_frame", "map_frame", "graph_file")
+SWITCHES = ("publish_tf", "invert_odom_tf", "process_every", "use_sim_time")
 INPUTS = {"source_points": "source", "target_points": "target", "points": "points"}
 OTHER_INPUTS = ("initial_guess", "odom")
 SHOWN = ("aligned", "blocked_points", "sight_lines", "pose", "odometry", "path")
@@ -55,7 +59,7 @@ def generate_launch_description():
 
 def start(context):
     """What the arguments ask for, whose values are known by now."""
-    given = given_values(context, ARGUMENTS)
+    given, found = find_live(given_values(context, ARGUMENTS))
     node = Node(
         package="svc_ros",
         executable="registration_node",
@@ -65,7 +69,8 @@ def start(context):
         remappings=[*((topic, given[name]) for topic, name in INPUTS.items()), *((n, given[n]) for n in OTHER_INPUTS)],
         output="screen",
     )
-    return [node, rviz(given)] if given["rviz"] == "true" else [node]
+    said = [LogInfo(msg=f"found: {line}") for line in found]
+    return [*said, node, rviz(given)] if given["rviz"] == "true" else [*said, node]
 
 
 def parameters(given):
@@ -76,11 +81,6 @@ def parameters(given):
         topics = (full_name(given[name], given["namespace"]) for name in INPUTS.values())
         values |= {f"qos_overrides.{topic}.subscription.reliability": "reliable" for topic in topics}
     return values
-
-
-def full_name(topic, namespace):
-    """A topic's name with its namespace, which is what qos_overrides go by."""
-    return topic if topic.startswith("/") else "/" + "/".join(filter(None, (namespace.strip("/"), topic)))
 
 
 def rviz(given):

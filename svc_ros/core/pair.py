@@ -18,6 +18,7 @@ from svc_ros.core.sight.evidence import SightViewEvidence
 from svc_ros.core.sight.observability import SurfaceContact, find_contact
 from svc_ros.core.sight.placement import place
 from svc_ros.core.sight.sight_view import gather_evidence, glance, index, look_both_ways
+from svc_ros.core.sight.weak_directions import find_weak_directions
 from svc_ros.core.stopwatch import Stopwatch
 
 _GLIMPSE_POINTS = 1500  # of each scan, for slips
@@ -123,8 +124,10 @@ class Pair:
     ) -> RegistrationResult:
         """The result for the pose T; it is the transform exactly if the verdict is ACCEPTED."""
         accepted = decided.verdict is Verdict.ACCEPTED
-        covariance = (contact or self.contact(T)).covariance(self.config.covariance) if accepted else None
+        contact = self.contact(T) if contact is None else contact
+        covariance = contact.covariance(self.config.covariance) if accepted else None
+        weak = find_weak_directions(contact, self.config.decision.weak_constraint)
         return RegistrationResult(
             decided.verdict, decided.reason, self.config.method, T if accepted else None, T,
-            covariance, decided.probability, evidence, self.counts, self.watch.times(), decided.detail,
+            covariance, decided.probability, evidence, self.counts, self.watch.times(), decided.detail, weak,
         )  # fmt: skip

@@ -9,6 +9,7 @@ from enum import Enum
 from svc_ros.core.errors import InputError
 from svc_ros.core.scan import Array, frozen_array
 from svc_ros.core.sight.evidence import SightViewEvidence
+from svc_ros.core.sight.weak_directions import WeakDirection
 
 
 class Verdict(str, Enum):
@@ -50,7 +51,8 @@ class RegistrationResult:
     accepted pose, order x y z [m] then rotations about x y z [rad], left perturbation in the target frame;
     probability: how sure the decision is that the best candidate is right, in [0, 1] (None where nothing was
     judged); counts: points, correspondences, hypotheses ...; time_ms: wall time of every stage and `total`;
-    detail: one sentence for a person.
+    detail: one sentence for a person; weak_directions: how the agreeing surfaces let the best candidate be moved, none
+    where they hold it every way, None where nothing was judged.
     """
 
     verdict: Verdict
@@ -64,6 +66,7 @@ class RegistrationResult:
     counts: Mapping[str, int] = field(default_factory=dict)
     time_ms: Mapping[str, float] = field(default_factory=dict)
     detail: str = ""
+    weak_directions: tuple[WeakDirection, ...] | None = None
 
     def __post_init__(self) -> None:
         if (self.verdict is Verdict.ACCEPTED) != (self.T_target_source is not None):

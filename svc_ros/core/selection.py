@@ -61,9 +61,9 @@ def dismiss(pair: Pair, starts: Array) -> RegistrationResult | None:
     refined = [pair.refine(T, limits.icp_points) for T in starts]
     pair.counts["judged"] = pair.counts.get("judged", 0) + len(refined)
     T = max(zip(map(pair.promise, pair.glance_at_all(refined)), refined, strict=True), key=lambda item: item[0])[1]
-    evidence = pair.look(T)
+    evidence, contact = pair.look_and_touch(T)
     decided = decision.decide(evidence, pair.config.decision)
-    return None if decided.verdict is Verdict.ACCEPTED else pair.answer(T, evidence, decided)
+    return None if decided.verdict is Verdict.ACCEPTED else pair.answer(T, evidence, decided, contact)
 
 
 def verify_svc(pair: Pair, T: Array) -> RegistrationResult:
@@ -72,7 +72,8 @@ def verify_svc(pair: Pair, T: Array) -> RegistrationResult:
     angle, distance = pose_error(refined, T)
     limits = pair.config.shortlist
     if angle > limits.max_moved_rotation_deg or distance > limits.max_moved_translation_m:
-        return pair.answer(T, pair.look(T), decision.moved_away(angle, distance))
+        evidence, contact = pair.look_and_touch(T)
+        return pair.answer(T, evidence, decision.moved_away(angle, distance), contact)
     evidence, contact = pair.look_and_touch(refined)
     if decision.decide(evidence, pair.config.decision).verdict is not Verdict.ACCEPTED:
         return _judge(pair, Settled(refined, evidence, contact, [], []), [])

@@ -1,14 +1,15 @@
 """A decision as strict JSON, one object a line, and as flat key-values for diagnostic messages.
 
 Keys of the JSON object: verdict, reason, method, probability, T_target_source, best_candidate, covariance, evidence,
-counts, time_ms, detail. Matrices are nested lists, row by row, or null; `evidence` is empty where nothing was judged.
+weak_directions, counts, time_ms, detail. Matrices are nested lists, row by row, or null; `evidence` is empty, and
+`weak_directions` null, where nothing was judged.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from enum import Enum
 from pathlib import Path
 from typing import Any, TypeVar
@@ -19,6 +20,7 @@ from svc_ros.core.errors import InputError
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Array
 from svc_ros.core.sight.evidence import SeenSurface, SightLines, SightViewEvidence, no_surface
+from svc_ros.core.sight.weak_directions import Motion, WeakDirection, names_of
 from svc_ros.io.stamps import text_from_ns
 
 # Of an accepted pose whose method gives none: 1 m and 10 deg, so that nobody takes it for certain.
@@ -44,6 +46,7 @@ def result_to_json(result: RegistrationResult, **extra: Any) -> dict[str, Any]:
         "best_candidate": result.best_candidate,
         "covariance": result.covariance,
         "evidence": result.evidence.numbers() if result.evidence is not None else {},
+        "weak_directions": _weak_to_json(result.weak_directions),
         "counts": result.counts,
         "time_ms": times,
         "detail": result.detail,
@@ -69,6 +72,7 @@ def result_from_json(record: Mapping[str, Any]) -> RegistrationResult:
         covariance=_matrix(record, "covariance"),
         probability=record.get("probability"),
         evidence=_evidence(record.get("evidence") or {}),
+        weak_directions=_weak_from_json(record.get("weak_directions")),
         counts=dict(record.get("counts") or {}),
         time_ms=dict(record.get("time_ms") or {}),
         detail=str(record.get("detail", "")),
@@ -105,7 +109,8 @@ def decision_values(result: RegistrationResult, source_stamp_ns: int, target_sta
     """The decision as flat key-values, for a DiagnosticStatus.
 
     `verdict`, `reason`, `source_stamp`, `target_stamp` (seconds with nine decimals), `method` and `detail` are always
-    there; `probability` and the evidence's numbers where something was judged; `counts.NAME` and `time_ms.STAGE`.
+    there; `probability` and the evidence's numbers where something was judged, and `weak_directions` (their names) with
+    `weak_direction_vectors` (JSON, as in the record); `counts.NAME` and `time_ms.STAGE`.
     """
     values = {
         "verdict": result.verdict.value,
@@ -115,6 +120,9 @@ def decision_values(result: RegistrationResult, source_stamp_ns: int, target_sta
         "method": result.method,
         "detail": result.detail,
     }
+    if result.weak_directions is not None:
+        values["weak_directions"] = names_of(result.weak_directions)
+        values["weak_direction_vectors"] = json.dumps(_weak_to_json(result.weak_directions))
     numbers: dict[str, Any] = {} if result.probability is None else {"probability": result.probability}
     numbers |= result.evidence.numbers() if result.evidence is not None else {}
     numbers |= {f"counts.{name}": count for name, count in result.counts.items()}
@@ -161,6 +169,24 @@ def _matrix(record: Mapping[str, Any], key: str) -> Array | None:
         return np.array(value, np.float64)
     except (TypeError, ValueError):
         raise InputError(f"result: {key}: expected a matrix of numbers, found {value!r:.60}") from None
+
+
+def _weak_to_json(directions: Sequence[WeakDirection] | None) -> list[dict[str, Any]] | None:
+    if directions is None:
+        return None
+    return [
+        {"name": d.name, "motion": d.motion.value, "vector": d.vector.tolist(), "strength": d.strength}
+        for d in directions
+    ]
+
+
+def _weak_from_json(found: Any) -> tuple[WeakDirection, ...] | None:
+    if found is None:
+        return None
+    try:
+        return tuple(WeakDirection(Motion(d["motion"]), d["vector"], float(d["strength"])) for d in found)
+    except (KeyError, TypeError, ValueError):
+        raise InputError(f"result: weak_directions: expected a list of directions, found {found!r:.60}") from None
 
 
 def _evidence(numbers: Mapping[str, Any]) -> SightViewEvidence | None:

@@ -91,7 +91,7 @@ def _frame(
 
 def _told(record: Record) -> dict[str, Any]:
     """A decision without what the page does not show."""
-    left_out = ("covariance", "counts", "T_target_source")
+    left_out = ("covariance", "counts", "T_target_source", "weak_directions")
     return {key: value for key, value in record.items() if key not in left_out} | {"words": words_of(record)}
 
 

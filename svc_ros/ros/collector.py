@@ -23,7 +23,7 @@ from svc_ros.io.stamps import text_from_ns
 _DEPTH = 1000
 _TEXTS = {
     "verdict", "reason", "method", "detail", "source_stamp", "target_stamp", "source_frame", "target_frame",
-    "T_target_source", "best_candidate",
+    "T_target_source", "best_candidate", "weak_directions", "weak_direction_vectors",
 }  # fmt: skip
 _DECISIONS = QoSProfile(
     depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
@@ -74,6 +74,7 @@ def result_from_decision(values: Mapping[str, str]) -> RegistrationResult:
     numbers = {key: _number(key, text) for key, text in values.items() if _is_own_number(key)}
     record: dict[str, Any] = {name: values.get(name, "") for name in ("verdict", "reason", "method", "detail")}
     record |= {name: json.loads(values.get(name) or "null") for name in ("T_target_source", "best_candidate")}
+    record["weak_directions"] = json.loads(values.get("weak_direction_vectors") or "null")
     record["probability"] = numbers.pop("probability", None)
     for group in ("counts", "time_ms"):
         members = [name for name in numbers if name.startswith(f"{group}.")]

@@ -167,6 +167,8 @@ def _decision_status(statistics: Statistics, numbers: Mapping[str, Any], output:
     values |= {"rejects_in_a_row": run, **{f"output_{name}": value for name, value in output.items()}}
     if statistics.fault:
         return _status("decisions", _ERROR, statistics.fault, values)
+    if problem := output.get("map_problem"):
+        return _status("decisions", _WARN, f"map_frame: {problem}", values)
     if output["reader_stopped"]:
         return _status("decisions", _WARN, "a reader of ~/decision does not acknowledge what it is sent", values)
     if run >= _REJECTS_IN_A_ROW:

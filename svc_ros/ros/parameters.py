@@ -26,6 +26,9 @@ from svc_ros.core.matches.descriptors import load_descriptors
 MODES = ("pair", "scan_matching", "loop_closure")
 ODOMETRY = ("own", "topic", "tf")
 EDGES = ("none", "rtabmap", "pose_graph_tools")
+_COVARIANCES = (
+    "position_covariance", "orientation_covariance", "linear_velocity_covariance", "angular_velocity_covariance"
+)  # fmt: skip
 _FOREIGN = ("use_sim_time", "qos_overrides.", "start_type_description_service")  # declared by rclpy itself
 _LARGEST_INT = 2**63 - 1
 
@@ -44,8 +47,15 @@ class NodeSettings:
     tf_timeout: float = 0.2
     publish_tf: bool = False
     tf_child_frame: str = ""
+    invert_odom_tf: bool = False
+    map_frame: str = ""
+    transform_tolerance: float = 0.2
     odom_frame: str = "odom"
     base_frame: str = ""
+    position_covariance: float = 0.0
+    orientation_covariance: float = 0.0
+    linear_velocity_covariance: float = 0.0
+    angular_velocity_covariance: float = 0.0
     odometry: str = "own"
     graph_file: str = ""
     edges: str = "none"
@@ -59,11 +69,32 @@ class NodeSettings:
             raise ConfigError(f"sensor_origin: expected 3 numbers [m], found {len(self.sensor_origin)}")
         if self.sensor_frame and any(self.sensor_origin):
             raise ConfigError("sensor_frame and sensor_origin exclude each other: set one of them")
+        self._check_odometry()
+        self._check_map()
         is_loop_closure = self.mode == "loop_closure"
         if self.publish_tf and is_loop_closure:
             raise ConfigError("publish_tf: mode loop_closure tells loops between old scans, which are no frames")
         if (self.graph_file or self.edges != "none") and not is_loop_closure:
             raise ConfigError(f"graph_file and edges belong to mode loop_closure, found mode {self.mode}")
+
+    def _check_odometry(self) -> None:
+        """What only ~/odometry and its /tf have."""
+        wanted = [name for name in (*_COVARIANCES, "invert_odom_tf") if getattr(self, name)]
+        if wanted and self.mode != "scan_matching":
+            raise ConfigError(f"{wanted[0]} belongs to mode scan_matching, found mode {self.mode}")
+        if self.invert_odom_tf and self.tf_child_frame:
+            raise ConfigError("invert_odom_tf and tf_child_frame exclude each other: the child is odom_frame then")
+
+    def _check_map(self) -> None:
+        """What telling where odometry stands in a map asks for."""
+        if not self.map_frame:
+            return
+        if self.mode != "pair":
+            raise ConfigError(f"map_frame belongs to mode pair, found mode {self.mode}")
+        if self.publish_tf:
+            raise ConfigError("map_frame and publish_tf exclude each other: the source's frame would have two parents")
+        if self.map_frame == self.odom_frame:
+            raise ConfigError(f"map_frame and odom_frame have to differ, found {self.map_frame!r} for both")
 
     @property
     def max_skew_ns(self) -> int:
@@ -89,14 +120,22 @@ OWN: tuple[FieldInfo, ...] = (
     _own("publish_tf", "publish accepted transforms on /tf too"),
     _own("odom_frame", "frame that scan matching tells poses in, and that odometry from elsewhere is in"),
     _own("base_frame", "frame of the robot: scan matching tells where it stands; '': the cloud's frame"),
+    _own("position_covariance", "variance that ~/odometry tells of x, y and z; 0: the computed one", "m^2", 0.0, 1e6),
+    _own("orientation_covariance", "variance that it tells of turns; 0: the computed one", "rad^2", 0.0, 1e3),
+    _own("linear_velocity_covariance", "variance of its speeds; 0: the computed one", "m^2/s^2", 0.0, 1e6),
+    _own("angular_velocity_covariance", "variance of its turn rates; 0: the computed one", "rad^2/s^2", 0.0, 1e3),
     _own("odometry", "loop closure's odometry: own motion, topic odom, or TF from odom_frame", choices=ODOMETRY),
     _own("graph_file", "loop closure writes its pose graph here (g2o), on reset and at the end; '': nowhere"),
     _own("edges", "loops go to this back end, too: none, rtabmap, pose_graph_tools", choices=EDGES),
     _own("autostart", "configure and activate at the start; false: wait for lifecycle transitions"),
+    _own("invert_odom_tf", "scan matching's /tf has odom_frame as the child of the robot's frame, not as its parent"),
+    _own("map_frame", "mode pair sends where odom_frame stands in this frame on /tf, once accepted; '': it does not"),
+    _own("transform_tolerance", "so far ahead of the present that transform is dated", "s", 0.0, 10.0),
     _own("tf_child_frame", "child frame on /tf; '': the source's frame, FRAME/source if that is the target's too"),
 )
 _READ_ONLY = (
-    "preset", "mode", "publish_tf", "odom_frame", "base_frame", "odometry", "graph_file", "edges", "autostart"
+    "preset", "mode", "publish_tf", "map_frame", "odom_frame", "base_frame", "odometry", "graph_file", "edges",
+    "autostart",
 )  # fmt: skip
 
 

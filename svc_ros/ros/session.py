@@ -163,7 +163,7 @@ class Session:
 
     def _make_outputs(self, settings: NodeSettings) -> Outputs:
         try:
-            return Outputs(self._node, settings)
+            return Outputs(self._node, settings, self.frames, lambda: self.is_active)
         except Exception:
             self.frames.destroy()
             raise
@@ -208,6 +208,7 @@ class Session:
 
     def reset_engine(self) -> None:
         """Forget everything computed. Raises InputError where what is to be kept of it cannot be written."""
+        self.outputs.forget()
         self.engine.reset()
 
     def judge_again(self) -> dict[str, Any]:

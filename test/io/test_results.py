@@ -13,6 +13,7 @@ from svc_ros.core.errors import InputError
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.se3 import make_pose
 from svc_ros.core.sight.evidence import SeenSurface, SightLines, SightViewEvidence
+from svc_ros.core.sight.weak_directions import Motion, WeakDirection
 from svc_ros.io.results import (
     append_jsonl,
     decision_values,
@@ -53,6 +54,7 @@ def accepted() -> RegistrationResult:
     return RegistrationResult(
         Verdict.ACCEPTED, Reason.OK, "svc", T, T, np.diag(np.arange(1.0, 7.0)) * 1e-4, 0.97, evidence,
         {"correspondences": 5000}, {"matching": 1.5, "total": 20.25}, "all is well",
+        (WeakDirection(Motion.SHIFT, np.array([0.8, 0.0, 0.6]), 0.02), WeakDirection(Motion.TURN, np.eye(3)[2], 0.1)),
     )  # fmt: skip
 
 
@@ -191,3 +193,23 @@ def test_decision_values_of_a_dropped_pair_say_so() -> None:
     values = decision_values(dropped, 2, 1)
     assert {key: values[key] for key in ("verdict", "reason")} == {"verdict": "dropped", "reason": "stale"}
     assert "probability" not in values
+
+
+def test_weak_directions_are_told_by_name_and_vector_and_read_back(
+    accepted: RegistrationResult, rejected: RegistrationResult
+) -> None:
+    record = json.loads(json_line(result_to_json(accepted)))
+    shift = {"name": "along 0.80 0.00 0.60", "motion": "shift", "vector": [0.8, 0.0, 0.6], "strength": 0.02}
+    turn = {"name": "yaw", "motion": "turn", "vector": [0.0, 0.0, 1.0], "strength": 0.1}
+    assert record["weak_directions"] == [shift, turn]
+    values = decision_values(accepted, 5, 4)
+    assert values["weak_directions"] == "along 0.80 0.00 0.60, yaw"
+    assert json.loads(values["weak_direction_vectors"]) == [shift, turn]
+    assert result_to_json(result_from_json(record))["weak_directions"] == [shift, turn]
+    held = replace(accepted, weak_directions=())
+    assert (result_to_json(held)["weak_directions"], decision_values(held, 5, 4)["weak_directions"]) == ([], "")
+    assert result_to_json(rejected)["weak_directions"] is None
+    assert "weak_directions" not in decision_values(rejected, 5, 4)
+    for wrong in (3, [{"motion": "slide", "vector": [1, 0, 0], "strength": 0}], [{"motion": "turn"}]):
+        with pytest.raises(InputError, match="weak_directions"):
+            result_from_json(record | {"weak_directions": wrong})

@@ -32,6 +32,7 @@ GROUPS = {name.partition(".")[0] for name in CONFIG if "." in name}
 FOREIGN = {
     "NaN", "base_link", "bond", "use_sim_time", "qos_overrides", "header.frame_id", "child_frame_id", "frame_id",
     "/kiss/odometry", "/initialpose", "/tf", "/source", "VERTEX_SE3:QUAT", "EDGE_SE3:QUAT",
+    "odom_lidar", "odom0_differential: true",
     "pyproject.toml", "svc_ros_spin_images.py", "functools.lru_cache",
     "NUMBA_CACHE_DIR", "make setup",
     "configure", "activate", "deactivate", "cleanup", "message", "p_target = T_target_source p_source",

@@ -136,7 +136,7 @@ def test_missing_transform_names_both_frames():
 def test_publish_tf_without_tf2_msgs_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "tf2_msgs", None)
     with pytest.raises(MissingDependencyError, match="ros-jazzy-tf2-msgs"):
-        TransformOutput(None)
+        TransformOutput(None, "publish_tf")
 
 
 @pytest.mark.parametrize(
@@ -149,7 +149,8 @@ def test_transform_on_tf_never_has_one_frame_twice(monkeypatch, source_frame, ch
     monkeypatch.setitem(sys.modules, "tf2_msgs", ModuleType("tf2_msgs"))
     monkeypatch.setitem(sys.modules, "tf2_msgs.msg", module)
     node = SimpleNamespace(create_publisher=lambda *_args: SimpleNamespace(publish=sent.extend))
-    TransformOutput(node).publish(conversions.transform_message(T, STAMP, "lidar", source_frame), child_frame)
+    message = conversions.transform_message(T, STAMP, "lidar", source_frame)
+    TransformOutput(node, "publish_tf").publish(message, child_frame)
     (message,) = sent
     assert (message.header.frame_id, message.child_frame_id) == ("lidar", child)
     assert np.allclose(matrix(message), T)

@@ -16,6 +16,7 @@ from svc_ros.core.registration import prepare, verify
 from svc_ros.core.scan import Scan
 from svc_ros.core.se3 import apply
 from svc_ros.core.sight.evidence import SeenSurface
+from svc_ros.core.sight.weak_directions import Motion, WeakDirection
 from svc_ros.ros.streams.decision import Decision, Look
 from svc_ros.ros.streams.worker import CloudLabel
 from svc_ros.ros.topics import looks
@@ -98,3 +99,10 @@ def test_a_decision_without_a_judged_pose_draws_nothing(decision):
     node = StandIn(TOPICS)
     LookOutputs(node).publish(Decision(decision.result, decision.source, decision.target))
     assert node.sent == []
+
+
+def test_the_text_tells_weak_directions_where_there_are_any(decision):
+    weak = (WeakDirection(Motion.SHIFT, np.eye(3)[0], 0.01), WeakDirection(Motion.TURN, np.eye(3)[2], 0.0))
+    for found, text in ((weak, "accepted: ok\nweak: x, yaw"), ((), "accepted: ok"), (None, "accepted: ok")):
+        result = dataclasses.replace(decision.result, weak_directions=found)
+        assert looks.verdict_marker(decision.look, result, 1).text == text

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +10,10 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
 
+from ros_bench import matrix
+from scipy.spatial.transform import Rotation
+
+from svc_ros.core.errors import ConfigError
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.se3 import make_pose
 from svc_ros.ros.parameters import NodeSettings
@@ -42,8 +47,9 @@ class StandInTf:
         self.sent.append((message, child_frame))
 
 
-def scan(second: int, x: float, origin: str = "motion") -> Decision:
-    pose = make_pose(np.eye(3), (x, 0.0, 0.0))
+def scan(second: int, where: float | np.ndarray, origin: str = "motion") -> Decision:
+    """Accepted, at a pose or so far along x."""
+    pose = where if isinstance(where, np.ndarray) else make_pose(np.eye(3), (where, 0.0, 0.0))
     result = RegistrationResult(Verdict.ACCEPTED, Reason.OK, "svc", pose, pose)
     label = CloudLabel(second * SECOND, "lidar")
     return Decision(result, label, label, odometry=OdometryEstimate(pose, 0.01 * np.eye(6)), origin=origin)
@@ -60,6 +66,65 @@ def test_odometry_and_tf_lead_from_the_odometry_frame_to_the_cloud_or_the_base()
             assert (message.header.frame_id, message.child_frame_id, message.header.stamp.sec) == ("world", child, 3)
         assert odometry.pose.pose.position.x == transform.transform.translation.x == 1.5
         assert asked_child == "body"
+
+
+def test_turned_round_the_odometry_frame_is_the_child_of_the_robot():
+    node, tf = StandInNode(), StandInTf()
+    settings = NodeSettings(mode="scan_matching", odom_frame="odom_lidar", base_frame="base_link", invert_odom_tf=True)
+    turned = make_pose(Rotation.from_euler("z", 90, degrees=True).as_matrix(), (2.0, 0.0, 0.0))
+    OdometryOutputs(node, tf).publish(scan(3, turned), settings)
+    ((transform, asked_child),) = tf.sent
+    assert (transform.header.frame_id, transform.child_frame_id, asked_child) == ("base_link", "odom_lidar", "")
+    np.testing.assert_allclose(matrix(transform) @ turned, np.eye(4), atol=1e-12)
+    (odometry,) = node.sent["~/odometry"]  # which stays as it is
+    assert (odometry.header.frame_id, odometry.child_frame_id) == ("odom_lidar", "base_link")
+    assert odometry.pose.pose.position.x == 2.0
+
+
+@pytest.mark.parametrize(
+    ("wanted", "position", "orientation", "speed", "rate", "together"),
+    [
+        ({}, 0.04, 0.01, 0.09, 0.02, 0.005),
+        ({"position_covariance": 0.5}, 0.5, 0.01, 0.09, 0.02, 0.0),
+        ({"position_covariance": 0.5, "orientation_covariance": 0.2}, 0.5, 0.2, 0.09, 0.02, 0.0),
+        ({"linear_velocity_covariance": 0.3, "angular_velocity_covariance": 0.1}, 0.04, 0.01, 0.3, 0.1, 0.005),
+    ],
+)
+def test_covariances_that_are_set_are_told_in_place_of_the_computed_ones(
+    wanted, position, orientation, speed, rate, together
+):
+    pose = np.diag([0.04] * 3 + [0.01] * 3)
+    pose[1, 5] = pose[5, 1] = 0.005
+    estimate = OdometryEstimate(np.eye(4), pose, np.ones(6), np.diag([0.09] * 3 + [0.02] * 3))
+    node, settings = StandInNode(), NodeSettings(mode="scan_matching", **wanted)
+    OdometryOutputs(node, None).publish(dataclasses.replace(scan(3, 0.0), odometry=estimate), settings)
+    (message,) = node.sent["~/odometry"]
+    told = message.pose.covariance.reshape(6, 6)
+    np.testing.assert_allclose(np.diag(told), [position] * 3 + [orientation] * 3)
+    assert told[1, 5] == told[5, 1] == together
+    np.testing.assert_allclose(np.diag(message.twist.covariance.reshape(6, 6)), [speed] * 3 + [rate] * 3)
+
+
+def test_a_velocity_that_is_not_known_stays_unknown_whatever_is_set():
+    told = []
+    for wanted in ({}, {"linear_velocity_covariance": 0.01, "angular_velocity_covariance": 0.01}):
+        node = StandInNode()
+        OdometryOutputs(node, None).publish(scan(0, 0.0, "start"), NodeSettings(mode="scan_matching", **wanted))
+        told.append(node.sent["~/odometry"][0].twist.covariance.tolist())
+    assert told[0] == told[1]
+
+
+@pytest.mark.parametrize(
+    ("wanted", "named"),
+    [
+        ({"mode": "pair", "invert_odom_tf": True}, "invert_odom_tf belongs to mode scan_matching"),
+        ({"mode": "loop_closure", "position_covariance": 0.1}, "position_covariance belongs to mode scan_matching"),
+        ({"mode": "scan_matching", "invert_odom_tf": True, "tf_child_frame": "x"}, "invert_odom_tf and tf_child_frame"),
+    ],
+)
+def test_what_does_not_go_together_is_refused_by_name(wanted, named):
+    with pytest.raises(ConfigError, match=named):
+        NodeSettings(**wanted)
 
 
 def test_a_scan_that_was_not_accepted_is_not_sent():

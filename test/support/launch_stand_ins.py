@@ -1,11 +1,15 @@
-"""Stand-ins for `launch` and `launch_ros` that record what a launch file asks for; neither comes as a wheel."""
+"""Stand-ins for `launch` and `launch_ros` that record what a launch file asks for; neither comes as a wheel.
+
+And for what launch files find by themselves in the running system.
+"""
 
 from __future__ import annotations
 
 import importlib.util
 import sys
+from collections.abc import Mapping
 from pathlib import Path
-from types import ModuleType
+from types import MappingProxyType, ModuleType
 from typing import Any
 
 import pytest
@@ -39,6 +43,9 @@ class LaunchDescription(Recorded): ...
 class OpaqueFunction(Recorded): ...
 
 
+class LogInfo(Recorded): ...
+
+
 class LaunchConfiguration:
     """The value of an argument; the context is a dict here."""
 
@@ -52,7 +59,7 @@ class LaunchConfiguration:
 
 CONTENT: dict[str, tuple[type, ...]] = {
     "launch": (LaunchDescription,),
-    "launch.actions": (DeclareLaunchArgument, ExecuteProcess, IncludeLaunchDescription, OpaqueFunction),
+    "launch.actions": (DeclareLaunchArgument, ExecuteProcess, IncludeLaunchDescription, LogInfo, OpaqueFunction),
     "launch.substitutions": (LaunchConfiguration,),
     "launch.launch_description_sources": (PythonLaunchDescriptionSource,),
     "launch_ros": (),
@@ -60,8 +67,33 @@ CONTENT: dict[str, tuple[type, ...]] = {
 }
 
 
-def load(path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+class Graph:
+    """The running system as a launch file sees it: nothing, unless a test says what there is."""
+
+    topics: tuple[str, ...] = ()
+    frame = "lidar"
+    parents: Mapping[str, str] = MappingProxyType({})
+
+    def __enter__(self) -> Graph:
+        return self
+
+    def __exit__(self, *_exception: object) -> None: ...
+
+    def clouds(self, _wanted: object) -> list[str]:
+        return list(self.topics)
+
+    def frame_of(self, topic: str) -> str:
+        return self.frame if topic in self.topics else ""
+
+    def static_parents(self, _is_enough: object) -> Mapping[str, str]:
+        return self.parents
+
+
+def load(path: Path, monkeypatch: pytest.MonkeyPatch, graph: type[Graph] = Graph) -> ModuleType:
     """The launch file as a module that uses the stand-ins."""
+    seen = ModuleType("svc_ros.ros.discovery.graph")
+    vars(seen)["Onlooker"] = graph
+    monkeypatch.setitem(sys.modules, seen.__name__, seen)
     for name, classes in CONTENT.items():
         module = ModuleType(name)
         vars(module).update({c.__name__: c for c in classes})
@@ -81,6 +113,15 @@ def load_real(path: Path) -> ModuleType:
 
 def started(module: ModuleType, **given: str) -> list[Any]:
     """What the launch file starts with these arguments, every other one at its default."""
+    return [action for action in _actions(module, **given) if not isinstance(action, LogInfo)]
+
+
+def said(module: ModuleType, **given: str) -> list[str]:
+    """What it tells meanwhile."""
+    return [action.options["msg"] for action in _actions(module, **given) if isinstance(action, LogInfo)]
+
+
+def _actions(module: ModuleType, **given: str) -> list[Any]:
     (description,) = module.generate_launch_description().given
     declared = [entity for entity in description if isinstance(entity, DeclareLaunchArgument)]
     (opaque,) = [entity for entity in description if isinstance(entity, OpaqueFunction)]

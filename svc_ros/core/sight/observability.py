@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,7 +12,10 @@ from svc_ros.core.decision_config import CovarianceConfig
 from svc_ros.core.kernels import placement as placement_kernels
 from svc_ros.core.kernels import plane as plane_kernels
 from svc_ros.core.scan import Array, PreparedScan
+from svc_ros.core.se3 import apply, rotate
 from svc_ros.core.sight.placement import Placement
+
+_FOR_EXTENT = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,12 +24,15 @@ class SurfaceContact:
 
     information: (6, 6) sum of J^T J, J = [n, p x n], p the placed source point and n the normal of the target surface
     that it lies on: translation [m], then rotation [rad] about the target's origin; num_points: how many;
-    sum_squared_m2: of their residuals.
+    sum_squared_m2: of their residuals; middle: (3,) [m], mean of some of the points; lever_m2: (3, 3), v' lever_m2 v is
+    their mean squared distance from the line through the middle along a unit vector v.
     """
 
     information: Array
     num_points: int
     sum_squared_m2: float
+    middle: Array = field(default_factory=lambda: np.zeros(3))
+    lever_m2: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
     @property
     def variance_m2(self) -> float:
@@ -55,6 +61,13 @@ class SurfaceContact:
             axis *= math.copysign(1.0, max(axis.tolist(), key=abs))
         return np.maximum(strength, 0.0), axes
 
+    def about_the_middle(self) -> Array:
+        """The information (6, 6) with rotations about the middle of the points, not about the target's origin."""
+        x, y, z = self.middle
+        lever = np.eye(6)
+        lever[3:, :3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+        return np.asarray(lever @ self.information @ lever.T)
+
     def covariance(self, config: CovarianceConfig) -> Array:
         """Covariance (6, 6) of the pose: x y z [m], rotations about x y z [rad], left perturbation, target frame.
 
@@ -75,7 +88,25 @@ def find_contact(target: PreparedScan, placement: Placement, config: SightViewCo
         target.points, target.normals, config.same_side_cosine, system,
     )  # fmt: skip
     upper = np.triu(system[:, :6])
-    return SurfaceContact(upper + np.triu(upper, 1).T, num, squared)
+    return SurfaceContact(upper + np.triu(upper, 1).T, num, squared, *_extent(target, placement, config))
+
+
+def _extent(target: PreparedScan, placement: Placement, config: SightViewConfig) -> tuple[Array, Array]:
+    """Middle and lever of the points that touch; of at most about a thousand of them, since both are but a scale."""
+    near = np.flatnonzero(placement.nearest >= 0)
+    some, T = near[:: max(1, len(near) // _FOR_EXTENT)], placement.T_observer_other
+    normals = rotate(T, placement.other.normals[some])
+    facing = np.einsum("ij,ij->i", normals, target.normals[placement.nearest[some]])
+    return middle_and_lever(apply(T, placement.other.points[some[facing > config.same_side_cosine]]))
+
+
+def middle_and_lever(points: Array) -> tuple[Array, Array]:
+    """Mean (3,) of points (N, 3), and `lever_m2` (3, 3) of SurfaceContact; zeros without any."""
+    if len(points) == 0:
+        return np.zeros(3), np.zeros((3, 3))
+    middle = points.mean(0)
+    scatter = np.einsum("ij,ik->jk", points - middle, points - middle) / len(points)
+    return middle, np.trace(scatter) * np.eye(3) - scatter
 
 
 def shift(T_target_source: Array, direction: Array, distance_m: float) -> Array:

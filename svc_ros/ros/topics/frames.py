@@ -24,7 +24,8 @@ from svc_ros.io.stamps import text_from_ns
 from svc_ros.ros.parameters import NodeSettings
 
 _NEEDS_TF2 = "{} needs tf2_ros (apt install ros-jazzy-tf2-ros-py){}"
-_NEEDS_TF2_MSGS = "publish_tf needs tf2_msgs (apt install ros-jazzy-tf2-msgs)"
+_LONG_AGO_NS = 1  # 0 would be the latest time; nothing that moves is known of so early a one
+_NEEDS_TF2_MSGS = "{} needs tf2_msgs (apt install ros-jazzy-tf2-msgs)"
 
 
 class Frames:
@@ -70,6 +71,14 @@ class Frames:
         t, q = found.transform.translation, found.transform.rotation
         return make_pose(Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), (t.x, t.y, t.z))
 
+    def fixed_pose(self, target_frame: str, source_frame: str, timeout_s: float) -> Array:
+        """T_target_source (4, 4) by static transforms alone, which hold at any time; raises like `pose`."""
+        try:
+            return self.pose(target_frame, source_frame, _LONG_AGO_NS, timeout_s)
+        except TransformUnavailableError as error:
+            frames = f"from {source_frame!r} to {target_frame!r}"
+            raise TransformUnavailableError(f"expected a static transform {frames}: {error.__cause__}") from error
+
     def clear(self) -> None:
         """Forget what was received: time starts anew."""
         if self._buffer is not None:
@@ -92,13 +101,16 @@ class Frames:
 
 
 class TransformOutput:
-    """Publishes accepted transforms on /tf, with frame names that differ. Raises MissingDependencyError."""
+    """Publishes transforms on /tf, with frame names that differ.
 
-    def __init__(self, node: Node) -> None:
+    wanted_by: the parameter that asks for it, named by the MissingDependencyError where tf2_msgs is missing.
+    """
+
+    def __init__(self, node: Node, wanted_by: str) -> None:
         try:
             from tf2_msgs.msg import TFMessage
         except ImportError:
-            raise MissingDependencyError(_NEEDS_TF2_MSGS) from None
+            raise MissingDependencyError(_NEEDS_TF2_MSGS.format(wanted_by)) from None
         self._node, self._message_type = node, TFMessage
         self._publisher = node.create_publisher(TFMessage, "/tf", QoSProfile(depth=100))
 
@@ -118,6 +130,8 @@ def _needs_tf(settings: NodeSettings) -> str:
     """The first parameter that cannot do without TF; empty if none."""
     if settings.sensor_frame:
         return "sensor_frame"
+    if settings.map_frame:
+        return "map_frame"
     if settings.base_frame and settings.mode == "scan_matching":
         return "base_frame"
     return "odometry:=tf" if settings.mode == "loop_closure" and settings.odometry == "tf" else ""

@@ -16,6 +16,7 @@ from svc_ros.core.result import RegistrationResult, Verdict
 from svc_ros.core.scan import Array, PreparedScan
 from svc_ros.core.se3 import apply
 from svc_ros.core.sight.evidence import SeenSurface, SightLines, SightViewEvidence
+from svc_ros.core.sight.weak_directions import names_of
 from svc_ros.report.sight_lines import DENIED_SIZE, MAX_DENIED, MAX_LINES, choose_denied, choose_lines
 from svc_ros.ros.streams.decision import Decision, Look
 from svc_ros.ros.topics.conversions import cloud_message, header
@@ -92,8 +93,10 @@ def sight_line_markers(look: Look, evidence: SightViewEvidence, stamp_ns: int) -
 
 
 def verdict_marker(look: Look, result: RegistrationResult, stamp_ns: int) -> Marker:
-    """Verdict and reason as a text above the place where the judged pose puts the source's sensor."""
+    """Verdict, reason and weak directions as a text above the place where the judged pose puts the source's sensor."""
     text = f"{result.verdict.value}: {result.reason.value}"
+    if result.weak_directions:
+        text += f"\nweak: {names_of(result.weak_directions)}"
     T_frame_source = look.T_frame_target @ look.T_target_source
     marker = Marker(header=header(stamp_ns, look.frame_id), ns="verdict", type=Marker.TEXT_VIEW_FACING, text=text)
     marker.color = _VERDICT_COLOURS.get(result.verdict, _RED)

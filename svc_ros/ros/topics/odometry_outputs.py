@@ -5,12 +5,14 @@ from __future__ import annotations
 import threading
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from svc_ros.core.scan import Array
+from svc_ros.core.se3 import invert
 from svc_ros.ros.parameters import NodeSettings
 from svc_ros.ros.streams.decision import Decision
 from svc_ros.ros.topics.conversions import header, odometry_message, plain_pose, transform_message
@@ -38,10 +40,14 @@ class OdometryOutputs:
         if estimate is None or source is None:
             return
         frame, child = settings.odom_frame, settings.base_frame or source.frame_id
-        self._odometry.publish(odometry_message(estimate, source.stamp_ns, frame, child))
-        if self._tf is not None:
-            message = transform_message(estimate.T_odom_base, source.stamp_ns, frame, child)
-            self._tf.publish(message, settings.tf_child_frame)
+        message = odometry_message(estimate, source.stamp_ns, frame, child)
+        tell_fixed_covariances(message, settings, estimate.velocity is not None)
+        self._odometry.publish(message)
+        if self._tf is not None and settings.invert_odom_tf:
+            self._tf.publish(transform_message(invert(estimate.T_odom_base), source.stamp_ns, child, frame), "")
+        elif self._tf is not None:
+            transform = transform_message(estimate.T_odom_base, source.stamp_ns, frame, child)
+            self._tf.publish(transform, settings.tf_child_frame)
         with self._lock:
             if decision.origin == "start":
                 self._poses, self._stride, self._num_seen = [], 1, 0
@@ -79,3 +85,26 @@ class OdometryOutputs:
             self._stride *= 2
             if self._poses[-1] is not last:
                 self._poses.append(last)
+
+
+def tell_fixed_covariances(message: Odometry, settings: NodeSettings, has_velocity: bool) -> None:
+    """Let the variances of the settings take the place of the computed ones; what is 0 there stays as computed.
+
+    A fixed half (position or orientation, speed or turn rate) has nothing in common with the other one any more. What
+    is told of a velocity that is not known stays.
+    """
+    fixed = settings.position_covariance, settings.orientation_covariance
+    message.pose.covariance = _with_fixed(message.pose.covariance, fixed)
+    if has_velocity:
+        fixed = settings.linear_velocity_covariance, settings.angular_velocity_covariance
+        message.twist.covariance = _with_fixed(message.twist.covariance, fixed)
+
+
+def _with_fixed(covariance: Any, variances: tuple[float, float]) -> Array:
+    """The (36,) covariance with these variances [squared units] of its first and last three rows."""
+    told = np.array(covariance, np.float64).reshape(6, 6)
+    for half, variance in zip((slice(0, 3), slice(3, 6)), variances, strict=True):
+        if variance > 0.0:
+            told[half], told[:, half] = 0.0, 0.0
+            told[half, half] = variance * np.eye(3)
+    return told.reshape(-1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -18,8 +19,9 @@ from svc_ros.ros.streams.decision import Decision
 from svc_ros.ros.streams.worker import CloudLabel
 from svc_ros.ros.topics.back_ends import EdgeOutput, edge_output
 from svc_ros.ros.topics.conversions import decision_message, pose_message, transform_message
-from svc_ros.ros.topics.frames import TransformOutput
+from svc_ros.ros.topics.frames import Frames, TransformOutput
 from svc_ros.ros.topics.looks import LookOutputs
+from svc_ros.ros.topics.map_output import MapOutput
 from svc_ros.ros.topics.odometry_outputs import OdometryOutputs
 from svc_ros.ros.topics.paced_sender import PacedSender
 
@@ -35,11 +37,13 @@ class Outputs:
     PacedSender.
 
     Raises MissingDependencyError for /tf without tf2_msgs, and for a back end whose messages are not installed.
+    frames, is_active: see MapOutput.
     """
 
-    def __init__(self, node: Node, settings: NodeSettings) -> None:
+    def __init__(self, node: Node, settings: NodeSettings, frames: Frames, is_active: Callable[[], bool]) -> None:
         self._node = node
-        self._tf = TransformOutput(node) if settings.publish_tf else None
+        self._tf = TransformOutput(node, "publish_tf") if settings.publish_tf else None
+        self._map = MapOutput(node, settings, frames, is_active) if settings.map_frame else None
         self._edges: EdgeOutput | None = edge_output(node, settings.edges)
         self._decision = node.create_publisher(DiagnosticArray, "~/decision", _LAST_DECISION)
         self._rejected = node.create_publisher(Bool, "~/rejected", _RELIABLE)
@@ -55,6 +59,8 @@ class Outputs:
         source, target = decision.source, decision.target
         if decision.result.accepted and source is not None and target is not None:
             self._publish_pose(decision, source, target, settings)
+        if self._map is not None:
+            self._map.update(decision, settings)
         if self._odometry is not None:
             self._odometry.publish(decision, settings)
         if self._edges is not None:
@@ -67,24 +73,32 @@ class Outputs:
         if self._odometry is not None:
             self._odometry.publish_path(settings)
 
+    def forget(self) -> None:
+        """Tell nothing any more that follows from earlier decisions."""
+        if self._map is not None:
+            self._map.forget()
+
     def numbers(self) -> dict[str, Any]:
-        """How `~/decision` gets along with its readers; safe from any thread."""
+        """How `~/decision` gets along with its readers, and the map's frame with TF; safe from any thread."""
         sender = self._sender
         return {
             "waiting": sender.num_waiting,
             "unacknowledged": sender.num_unacknowledged,
             "reader_stopped": sender.is_reader_stopped,
+            **(self._map.numbers() if self._map is not None else {}),
         }
 
     def finish(self, timeout_s: float) -> bool:
         """Send what waits; False if that was not possible in time. Nothing is published afterwards."""
+        if self._map is not None:
+            self._map.stop()
         return self._sender.close(timeout_s)
 
     def destroy(self) -> None:
         """Give all publishers back; `finish` comes first."""
         for publisher in (self._decision, self._rejected, self._transform, self._pose):
             self._node.destroy_publisher(publisher)
-        for part in (self._looks, self._odometry, self._edges, self._tf):
+        for part in (self._looks, self._odometry, self._edges, self._map, self._tf):
             if part is not None:
                 part.destroy()
 
