@@ -59,6 +59,7 @@ class Statistics:
         self.node = node
         self.inputs = {name: InputMonitor(is_needed) for name, is_needed in inputs.items()}
         self.qos_problems: dict[str, str] = {}
+        self.type_problems: dict[str, str] = {}  # of a topic: what is sent on it and not taken, and what to do
         self.num_lost: dict[str, int] = {}  # messages of a topic that the middleware lost, and says so
         self.fault = ""
         self._lock = threading.Lock()
@@ -136,9 +137,12 @@ def _input_status(statistics: Statistics, now: float) -> DiagnosticStatus:
         if is_expected and monitor.silence_s(now) > _STALE_AFTER_S:
             silent.append(side)
     values |= {f"qos_{topic}": text for topic, text in statistics.qos_problems.items()}
+    values |= {f"type_{topic}": text for topic, text in statistics.type_problems.items()}
     values |= {f"lost_{topic}": count for topic, count in statistics.num_lost.items()}
     if statistics.qos_problems:
         return _status("input", _ERROR, "incompatible QoS: " + ", ".join(statistics.qos_problems), values)
+    if statistics.type_problems:
+        return _status("input", _ERROR, "; ".join(statistics.type_problems.values()), values)
     if silent:
         return _status("input", _WARN, f"no clouds for {_STALE_AFTER_S:g} s: " + ", ".join(silent), values)
     return _status("input", _OK, "clouds arrive", values)

@@ -94,6 +94,8 @@ class Session:
     def tell(self) -> None:
         """Publish diagnostics and the way so far; nothing if the session ends meanwhile on another thread."""
         settings = self._parameters.settings
+        with contextlib.suppress(InvalidHandle):
+            self.inputs.look_at_types()
         with self.inputs.lock:
             message = DiagnosticArray(status=statuses(self.statistics, self.flow(), settings.process_every))
         message.header.stamp = self._node.get_clock().now().to_msg()

@@ -33,7 +33,7 @@ FOREIGN = {
     "NaN", "base_link", "bond", "use_sim_time", "qos_overrides", "header.frame_id", "child_frame_id", "frame_id",
     "/kiss/odometry", "/initialpose", "/tf", "/source", "VERTEX_SE3:QUAT", "EDGE_SE3:QUAT",
     "pyproject.toml", "svc_ros_spin_images.py", "functools.lru_cache",
-    "NUMBA_CACHE_DIR", "make setup",
+    "NUMBA_CACHE_DIR", "make setup", "timebase", "xfer_format",
     "configure", "activate", "deactivate", "cleanup", "message", "p_target = T_target_source p_source",
     "sensor_data", "is_dense", "FRAME/source", "-r source_points:=/your/topic", '""', "1", "1.0",
     "_m", "_deg", "_s", "_ms", "_ns",
