@@ -27,10 +27,10 @@ from yardstick import PATIENCE_S
 
 from svc_ros.core.se3 import pose_error
 from svc_ros.io.clouds.livox import LIVOX_TYPE
-from svc_ros.io.clouds.point_cloud2 import scan_from_cloud
+from svc_ros.io.clouds.point_cloud2 import CLOUD_TYPE, scan_from_cloud
 from svc_ros.ros.collector import DecisionCollector, result_from_decision, spin_until
 from svc_ros.ros.processes import own_domain_id
-from svc_ros.ros.topics.cloud_topic import CLOUD_TYPE, CloudTopic, type_problem, type_to_take
+from svc_ros.ros.topics.cloud_topic import CloudTopic, type_problem, type_to_take
 
 SCANS = [scan_room(T, seed=k) for k, T in enumerate(POSES)]
 LASER = "sensor_msgs/msg/LaserScan"

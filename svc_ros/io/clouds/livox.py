@@ -8,6 +8,10 @@ from svc_ros.io.clouds.cdr import CdrHeader, CdrReader
 from svc_ros.io.clouds.point_cloud2 import CloudField
 
 LIVOX_TYPE = "livox_ros_driver2/msg/CustomMsg"
+NO_LIVOX_PACKAGE = (
+    "its package is not found here: source the driver's workspace in this terminal, "
+    "or set the driver's xfer_format to 0 (PointCloud2)"
+)
 
 # A point takes 19 bytes and begins at a multiple of four, so the last one lacks the filler of the others. Counted from
 # the byte before the first point, all of them have 20, and nothing has to be copied.

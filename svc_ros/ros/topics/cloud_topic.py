@@ -20,13 +20,8 @@ from rclpy.type_support import check_for_type_support
 from sensor_msgs.msg import PointCloud2
 
 from svc_ros.core.errors import UnsupportedCloudError
-from svc_ros.io.clouds.livox import LIVOX_TYPE, cloud_from_cdr
-
-CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
-_NO_PACKAGE = (
-    "its package is not found here: source the driver's workspace in the node's terminal, "
-    "or set the driver's xfer_format to 0 (PointCloud2)"
-)
+from svc_ros.io.clouds.livox import LIVOX_TYPE, NO_LIVOX_PACKAGE, cloud_from_cdr
+from svc_ros.io.clouds.point_cloud2 import CLOUD_TYPE
 
 
 @dataclass(frozen=True)
@@ -62,7 +57,7 @@ class CloudTopic:
             if self._is_destroyed:
                 return
             senders = self._senders()
-            livox = _livox_class() if LIVOX_TYPE in senders else None
+            livox = livox_class() if LIVOX_TYPE in senders else None
             wanted = type_to_take(senders, self._type or CLOUD_TYPE, livox is not None)
             problem = self._change(wanted, livox) if wanted != self._type else ""
             problem = problem or type_problem(self._resolved, senders, wanted)
@@ -131,12 +126,12 @@ def type_problem(topic: str, senders: Mapping[str, str], taken: str) -> str:
         if taken in senders:
             advice = f"a topic has one type, here {taken}: give each publisher a topic of its own"
         elif kind == LIVOX_TYPE:
-            advice = _NO_PACKAGE
+            advice = NO_LIVOX_PACKAGE
         return f"{topic}: {nodes} publishes {kind}, which is not taken: {advice}"
     return ""
 
 
-def _livox_class() -> Any:
+def livox_class() -> Any:
     """Livox' message class, None where its package is not installed or does not work here."""
     package, _, name = LIVOX_TYPE.split("/")
     try:
