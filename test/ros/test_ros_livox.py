@@ -18,6 +18,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from livox_messages import fast_cdr, install_livox_package
 from mini_data import POSES, pose_between, scan_room
 from rclpy.context import Context
+from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from ros_bench import SECOND, Host, cloud
@@ -115,6 +116,30 @@ def test_a_driver_that_starts_later_is_heard_whatever_it_sends(host, livox):
             np.testing.assert_array_equal(scan.points, SCANS[1].astype(np.float32))
             assert scan.point_times_s is None
     assert ear.problems == {}
+
+
+@pytest.mark.dds
+def test_another_thread_may_wait_for_the_subscription_that_is_replaced(host, livox, capfd):
+    host.executor.remove_node(host.node)
+    host.executor = MultiThreadedExecutor(context=host.context)
+    host.executor.add_node(host.node)
+    ear = Ear(host)
+    for k, kind in enumerate((livox, PointCloud2, livox)):
+        with Driver(host.domain_id, kind) as driver:
+            ear.hear(driver, livox_scan(SCANS[0], k) if kind is livox else cloud(SCANS[0], k))
+    assert "cannot be subscribed to" not in capfd.readouterr().err
+
+
+@pytest.mark.dds
+def test_what_keeps_the_node_from_subscribing_is_told(host, livox):
+    other = host.node.create_subscription(PointCloud2, "points", lambda _: None, QoSProfile(depth=10))
+    ear = Ear(host)
+    with Driver(host.domain_id, livox) as driver:
+        assert spin_until(host.executor, lambda: ear.problems, PATIENCE_S)
+        assert ear.problems["points"].startswith(f"/points: cannot be subscribed to as {LIVOX_TYPE}: ")
+        host.node.destroy_subscription(other)
+        ear.hear(driver, livox_scan(SCANS[0], 5.0))
+    assert spin_until(host.executor, lambda: not ear.problems, PATIENCE_S)
 
 
 @pytest.mark.dds

@@ -47,7 +47,7 @@ class CloudTopic:
         self._node, self._topic, self._resolved = node, topic, node.resolve_topic_name(topic)
         self._subscribe, self._take, self._problems = subscribe, take, problems
         self._subscription: Subscription | None = None
-        self._type, self._is_destroyed = "", False
+        self._type, self._has_failed, self._is_destroyed = "", False, False
         self._lock = threading.Lock()  # the session may end on another thread while this one looks
         self.look()
 
@@ -82,15 +82,18 @@ class CloudTopic:
         return {kind: ", ".join(dict.fromkeys(names)) for kind, names in nodes.items()}
 
     def _change(self, wanted: str, livox: Any) -> str:
-        """Subscribe as another type; what is in the way of it, or an empty text."""
+        """Subscribe as another type; what is in the way of it for longer than a moment, or an empty text."""
         is_first = not self._type
         self._give_back()
         is_livox = wanted == LIVOX_TYPE
         source = CloudSource(livox, self._take_livox, True) if is_livox else CloudSource(PointCloud2, self._take)
         try:
             self._subscription = self._subscribe(source)
-        except RCLError as error:  # the last one may still be in use for a moment: the next look tries again
-            return f"{self._resolved}: cannot be subscribed to as {wanted}: {error}"
+        except RCLError as error:  # another thread may still wait for the last one: the next look tries again
+            is_lasting, self._has_failed = self._has_failed, True
+            why = f"does another node of this process read it as another type? ({error})"
+            return f"{self._resolved}: cannot be subscribed to as {wanted}: {why}" if is_lasting else ""
+        self._has_failed = False
         if is_livox or not is_first:
             self._node.get_logger().info(f"{self._resolved}: clouds are taken as {wanted}")
         self._type = wanted
