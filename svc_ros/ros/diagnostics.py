@@ -62,6 +62,7 @@ class Statistics:
         self.inputs = {name: InputMonitor(is_needed) for name, is_needed in inputs.items()}
         self.qos_problems: dict[str, str] = {}
         self.losses: dict[str, LossMonitor] = {}  # by topic, as the node names it
+        self.type_problems: dict[str, str] = {}  # of a topic: what is sent on it and not taken, and what to do
         self.fault = ""
         self._lock = threading.Lock()
         self._verdicts: Counter[str] = Counter({verdict.value: 0 for verdict in Verdict})
@@ -139,9 +140,12 @@ def _input_status(statistics: Statistics, now: float) -> DiagnosticStatus:
             silent.append(side)
     values |= {f"qos_{topic}": text for topic, text in statistics.qos_problems.items()}
     values |= {f"lost_{topic}": loss.num_lost for topic, loss in statistics.losses.items()}
+    values |= {f"type_{topic}": text for topic, text in statistics.type_problems.items()}
     losses = {topic: lost for topic, loss in statistics.losses.items() if (lost := loss.warning(now))}
     if statistics.qos_problems:
         return _status("input", _ERROR, "incompatible QoS: " + ", ".join(statistics.qos_problems), values)
+    if statistics.type_problems:
+        return _status("input", _ERROR, "; ".join(statistics.type_problems.values()), values)
     if losses:
         told = "; ".join(f"{topic}: {lost}" for topic, lost in losses.items())
         return _status("input", _WARN, f"{told}: {cure()}", values)

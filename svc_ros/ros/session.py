@@ -95,6 +95,8 @@ class Session:
         """Publish diagnostics and the way so far; nothing if the session ends meanwhile on another thread."""
         settings = self._parameters.settings
         self.inputs.tell_losses()
+        with contextlib.suppress(InvalidHandle):
+            self.inputs.look_at_types()
         with self.inputs.lock:
             message = DiagnosticArray(status=statuses(self.statistics, self.flow(), settings.process_every))
         message.header.stamp = self._node.get_clock().now().to_msg()

@@ -34,7 +34,7 @@ FOREIGN = {
     "/kiss/odometry", "/initialpose", "/tf", "/source", "VERTEX_SE3:QUAT", "EDGE_SE3:QUAT",
     "odom_lidar", "odom0_differential: true",
     "pyproject.toml", "svc_ros_spin_images.py", "functools.lru_cache",
-    "NUMBA_CACHE_DIR", "make setup",
+    "NUMBA_CACHE_DIR", "make setup", "timebase", "xfer_format",
     "configure", "activate", "deactivate", "cleanup", "message", "p_target = T_target_source p_source",
     "sensor_data", "is_dense", "FRAME/source", "-r source_points:=/your/topic", '""', "1", "1.0",
     "_m", "_deg", "_s", "_ms", "_ns",

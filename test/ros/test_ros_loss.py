@@ -37,7 +37,7 @@ def test_a_gap_that_the_middleware_reports_too_counts_once():
     loss.take(6, 0.3)
     assert loss.num_lost == 3
     loss.take(8, 0.4)
-    loss.report(4, 0.5)
+    loss.report(1, 0.5)
     assert loss.num_lost == 4
 
 

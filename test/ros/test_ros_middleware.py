@@ -59,7 +59,9 @@ def test_a_receiver_has_the_profile_and_udp_addresses_while_its_node_is_made():
     assert not os.path.exists(path)
 
 
-@pytest.mark.parametrize(("allowed", "wanted"), [(212_992, SOCKET_BUFFER), (10_000_000, 10_000_000), (2**31 - 1, 2**25)])
+@pytest.mark.parametrize(
+    ("allowed", "wanted"), [(212_992, SOCKET_BUFFER), (10_000_000, 10_000_000), (2**31 - 1, 2**25)]
+)
 def test_a_receiver_takes_the_buffer_that_the_kernel_allows(monkeypatch, tmp_path, allowed, wanted):
     (tmp_path / "rmem_max").write_text(f"{allowed}\n")
     monkeypatch.setattr(middleware, "_LARGEST_BUFFER", tmp_path / "rmem_max")

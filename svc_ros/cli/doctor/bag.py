@@ -9,7 +9,7 @@ from pathlib import Path
 from svc_ros.cli.doctor.clouds import check_clouds, suggest_preset
 from svc_ros.cli.doctor.finding import Finding, Level
 from svc_ros.cli.doctor.notes import SAMPLED, CloudNotes, take_notes
-from svc_ros.cli.doctor.stamps import check_stamps
+from svc_ros.cli.doctor.stamps import check_bag_times, check_stamps
 from svc_ros.cli.doctor.trial import try_pairs
 from svc_ros.core.errors import SvcError, TransformUnavailableError
 from svc_ros.core.scan import Array
@@ -52,11 +52,16 @@ def check_bag(
 
 
 def _no_clouds(topics: Iterable[TopicInfo]) -> Finding:
-    raw = [(info, advice) for info in topics for end, advice in _RAW_TYPES.items() if info.type.endswith(end)]
+    raw = [(info, advice) for info in topics if (advice := advice_on_type(info.type))]
     if not raw:
         return Finding("clouds", "error", "no topic of type PointCloud2", "record the sensor's points")
     (info, advice), *_ = raw
     return Finding("clouds", "error", f"no topic of type PointCloud2, but {info.name} of type {info.type}", advice)
+
+
+def advice_on_type(type_name: str) -> str:
+    """What to do with messages that carry scans, but not as points; empty for any other type."""
+    return next((advice for end, advice in _RAW_TYPES.items() if type_name.endswith(end)), "")
 
 
 def _transforms(bag: Bag) -> tuple[TransformTree, list[Finding]]:
@@ -84,7 +89,8 @@ def _check_cloud_topic(
         return [Finding(name, "error", "no cloud recorded")]
     checks = [
         *check_clouds(notes),
-        *check_stamps(notes.stamps_ns, notes.bag_times_ns),
+        *check_stamps(notes.stamps_ns),
+        *check_bag_times(notes.stamps_ns, notes.bag_times_ns),
         *_check_frames(notes, tree, sensor_frame),
     ]
     if trial and not any(check.level == "error" for check in checks):
@@ -94,6 +100,17 @@ def _check_cloud_topic(
 
 def _check_frames(notes: CloudNotes, tree: TransformTree, sensor_frame: str | None) -> list[Finding]:
     frames = list(notes.frames)
+    found = check_frame_names(frames, sensor_frame)
+    if "" in frames:
+        return found
+    if notes.num_without_origin:
+        missing = f"unknown of {notes.num_without_origin} of {len(notes.stamps_ns)} clouds: {notes.no_origin}"
+        found.append(Finding("sensor frame", "error", missing, "name a frame that /tf and /tf_static connect"))
+    return [*found, *(_check_connection(frame, notes.stamps_ns, tree) for frame in frames)]
+
+
+def check_frame_names(frames: Sequence[str], sensor_frame: str | None = None) -> list[Finding]:
+    """Look at the frames of a topic's clouds, each named once; sensor_frame: see `check_bag`."""
     if "" in frames:
         return [Finding("frame", "error", "frame_id is empty", "the driver must name the sensor's frame")]
     level: Level = "warn"
@@ -103,11 +120,7 @@ def _check_frames(notes: CloudNotes, tree: TransformTree, sensor_frame: str | No
         advice = "a frame of the world, in which the sensor moves: name the sensor's by --sensor-frame or sensor_frame"
     else:
         level, advice = "ok", ""
-    found = [Finding("frame", level, ", ".join(frames), advice)]
-    if notes.num_without_origin:
-        missing = f"unknown of {notes.num_without_origin} of {len(notes.stamps_ns)} clouds: {notes.no_origin}"
-        found.append(Finding("sensor frame", "error", missing, "name a frame that /tf and /tf_static connect"))
-    return [*found, *(_check_connection(frame, notes.stamps_ns, tree) for frame in frames)]
+    return [Finding("frame", level, ", ".join(frames), advice)]
 
 
 def _check_connection(frame: str, stamps_ns: Sequence[int], tree: TransformTree) -> Finding:

@@ -1,9 +1,9 @@
-"""What one pass over a topic keeps of its clouds, for the checks of a bag."""
+"""What one pass over a topic keeps of its clouds, for the checks of a bag or of a topic that is heard now."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -96,11 +96,20 @@ def take_notes(bag: Bag, topic: str, find_origin: FindOrigin) -> CloudNotes:
     find_origin: from a cloud's frame and stamp [ns] to where its sensor stands in that frame, (3,) [m]; None: at its
     origin, as for clouds of which it raises TransformUnavailableError.
     """
-    notes, previous = CloudNotes(), None
     num = bag.num_scans(topic)
-    every, firsts = max(1, num // SAMPLED), set(_first_of_pairs(num))
-    for k, (bag_time_ns, message) in enumerate(bag.raw_clouds(topic)):
-        reading = notes.add(bag_time_ns, message, find_origin)
+    return notes_of(bag.raw_clouds(topic), find_origin, max(1, num // SAMPLED), set(_first_of_pairs(num)))
+
+
+def notes_of(
+    clouds: Iterable[tuple[int, Any]], find_origin: FindOrigin, every: int, firsts: Collection[int]
+) -> CloudNotes:
+    """Go through clouds, each with the time [ns] at which it was recorded or received.
+
+    every: each so manieth is looked at closely; firsts: which are kept, each with the next one, to be registered.
+    """
+    notes, previous = CloudNotes(), None
+    for k, (time_ns, message) in enumerate(clouds):
+        reading = notes.add(time_ns, message, find_origin)
         if reading is not None and previous is not None:
             notes.num_repeated += _same_points(previous, reading)
             if k - 1 in firsts:

@@ -1,4 +1,4 @@
-"""Checks of a bag's stamps: their order, their gaps, and the clock that they come from."""
+"""Checks of stamps: their order, their gaps, and the clock that those of a bag come from."""
 
 from __future__ import annotations
 
@@ -14,17 +14,22 @@ _GAP_FACTOR = 2.5  # times the median step, beyond which scans are missing
 _CLOCK_S = 1.0  # header and bag time farther apart than this come of different clocks
 
 
-def check_stamps(stamps_ns: Sequence[int], bag_times_ns: Sequence[int]) -> list[Finding]:
-    """Look at the header stamps of a topic [ns] and at the times of recording [ns], both in the order of recording."""
+def check_stamps(stamps_ns: Sequence[int]) -> list[Finding]:
+    """Look at the header stamps of a topic [ns], in the order in which clouds came."""
     if not any(stamps_ns):
         return [Finding("stamps", "error", "all zero", "the driver must stamp its clouds; pairs are made by stamp")]
-    told = np.array([stamp != 0 for stamp in stamps_ns])
-    stamps = np.array(stamps_ns, np.int64)[told]
-    findings = _check_order(stamps)
-    if missing := int((~told).sum()):
+    told = [stamp for stamp in stamps_ns if stamp]
+    findings = _check_order(np.array(told, np.int64))
+    if missing := len(stamps_ns) - len(told):
         advice = "clouds without a stamp cannot be paired: mend the driver, or leave them out"
-        findings.append(Finding("stamps of zero", "warn", f"{missing} of {len(told)} clouds", advice))
-    return [*findings, _check_clocks(np.array(bag_times_ns, np.int64)[told] - stamps)]
+        findings.append(Finding("stamps of zero", "warn", f"{missing} of {len(stamps_ns)} clouds", advice))
+    return findings
+
+
+def check_bag_times(stamps_ns: Sequence[int], bag_times_ns: Sequence[int]) -> list[Finding]:
+    """Compare stamps [ns] with the times of recording [ns]; nothing to be said of stamps that are zero."""
+    delays = [at - stamp for stamp, at in zip(stamps_ns, bag_times_ns, strict=True) if stamp]
+    return [_check_clocks(np.array(delays, np.int64))] if delays else []
 
 
 def _check_order(stamps: NDArray[np.int64]) -> list[Finding]:

@@ -19,7 +19,7 @@ from svc_ros.core.errors import InputError, MissingDependencyError, SvcError
 from svc_ros.core.se3 import Array, make_pose
 from svc_ros.io.bags.result_writer import ResultWriter
 from svc_ros.io.bags.writers import CloudBagWriter
-from svc_ros.io.clouds.point_cloud2 import CloudReading, scan_from_cloud
+from svc_ros.io.clouds.point_cloud2 import CLOUD_TYPE, CloudReading, scan_from_cloud
 from svc_ros.io.stamps import ns_from_stamp
 from svc_ros.io.transforms import TransformTree
 
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Bag", "CloudBagWriter", "ResultWriter", "TopicInfo", "UnreadableCloud", "pose_from_message"]
 
-CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
 _TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _TF_TOPICS = {"tf": False, "tf_static": True}  # name -> holds static transforms
 _QUATERNION_TOLERANCE = 0.01  # of its length, as tf2 has it

@@ -22,6 +22,8 @@ from svc_ros.io.clouds.free_space import free_directions
 from svc_ros.io.clouds.point_times import TIME_FIELDS, offsets_from_stamp
 from svc_ros.io.stamps import ns_from_stamp
 
+CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
+
 _DTYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField
 _FLOAT32 = 7
 

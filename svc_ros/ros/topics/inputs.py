@@ -15,15 +15,17 @@ from rclpy.event_handler import QoSMessageLostInfo, QoSRequestedIncompatibleQoSI
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from sensor_msgs.msg import PointCloud2
+from rclpy.subscription import Subscription
 
 from svc_ros.core.errors import InputError
+from svc_ros.io.clouds.point_cloud2 import CloudMessage
 from svc_ros.io.stamps import ns_from_stamp
 from svc_ros.pipeline.pairing import Event, Matched, Side, StampPairer
 from svc_ros.ros.diagnostics import Statistics
 from svc_ros.ros.middleware import cure
 from svc_ros.ros.parameters import NodeParameters
 from svc_ros.ros.streams.worker import Cloud, DropJob, Job, PairJob, ScanJob
+from svc_ros.ros.topics.cloud_topic import CloudSource, CloudTopic
 from svc_ros.ros.topics.conversions import pose_from_message
 from svc_ros.ros.topics.loss import LossMonitor
 from svc_ros.ros.topics.poses import PoseBuffer
@@ -58,16 +60,17 @@ class Inputs:
         self.odometry_child_frame = ""
         self._last_cloud_s = time.monotonic()
         self._last_stamp_ns = 0
-        self._subscriptions: list[Any] = []
         self._told_losses: set[str] = set()
+        self._subscriptions: list[Subscription] = []
+        self._cloud_topics: list[CloudTopic] = []
         settings = parameters.settings
         names = CLOUD_INPUTS[settings.mode]
         for name in names:
             self._subscribe_clouds(name)
         if "source" in names:
-            self._subscribe(PoseWithCovarianceStamped, "initial_guess", self._on_guess, _RELIABLE)
+            self._keep_subscribed(PoseWithCovarianceStamped, "initial_guess", self._on_guess, _RELIABLE)
         if settings.mode == "loop_closure" and settings.odometry == "topic":
-            self._subscribe(Odometry, "odom", self._on_odometry, _ODOMETRY_DEPTH)
+            self._keep_subscribed(Odometry, "odom", self._on_odometry, _ODOMETRY_DEPTH)
 
     def give_up_waiting(self) -> None:
         """Answer what waits for a partner when clouds have not come for `pair_timeout`; to be called now and then."""
@@ -95,54 +98,69 @@ class Inputs:
         """True if the last cloud is of a time that has not come yet: the clock has jumped back."""
         return self._last_stamp_ns > now_ns
 
+    def look_at_types(self) -> None:
+        """See of which type the clouds are that are published; to be called now and then."""
+        for topic in self._cloud_topics:
+            topic.look()
+
     def destroy(self) -> None:
         """Give the subscriptions back."""
+        for topic in self._cloud_topics:
+            topic.destroy()
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
 
     def _subscribe_clouds(self, name: str) -> None:
         qos = copy.copy(qos_profile_sensor_data)
         qos.depth = _DEPTH_OF_EVERY if self._parameters.settings.process_every else _DEPTH
-        if name == "points":
-            self._subscribe(PointCloud2, "points", self._on_scan, qos)
-        else:
-            on_cloud = functools.partial(self._on_cloud, "source" if name == "source" else "target")
-            self._subscribe(PointCloud2, f"{name}_points", on_cloud, qos)
+        topic, take = "points", self._on_scan
+        if name != "points":
+            side: Side = "source" if name == "source" else "target"
+            topic, take = f"{name}_points", functools.partial(self._on_cloud, side)
 
-    def _subscribe(self, kind: Any, topic: str, callback: Callable[[Any], None], qos: QoSProfile) -> None:
+        def subscribe(source: CloudSource) -> Subscription:
+            return self._subscribe(source.message_class, topic, source.callback, qos, source.is_raw)
+
+        self._cloud_topics.append(CloudTopic(self._node, topic, subscribe, take, self._statistics.type_problems))
+
+    def _keep_subscribed(self, kind: Any, topic: str, callback: Callable[[Any], None], qos: QoSProfile) -> None:
+        self._subscriptions.append(self._subscribe(kind, topic, callback, qos))
+
+    def _subscribe(
+        self, kind: Any, topic: str, callback: Callable[[Any], None], qos: QoSProfile, is_raw: bool = False
+    ) -> Subscription:
         def on_incompatible(info: QoSRequestedIncompatibleQoSInfo) -> None:
             self._statistics.qos_problems[topic] = f"{info.last_policy_kind} differs from the publisher's"
             self._node.get_logger().error(f"{topic}: a publisher's QoS does not fit; see qos_overrides./{topic}")
 
         loss = self._statistics.losses.setdefault(topic, LossMonitor())
-        publishers = functools.partial(self._node.count_publishers, topic)
+        publishers = functools.partial(self._node.count_publishers, self._node.resolve_topic_name(topic))
 
         def on_lost(info: QoSMessageLostInfo) -> None:
-            loss.report(info.total_count, time.monotonic())
+            loss.report(info.total_count_change, time.monotonic())
 
         def on_message(message: Any, about: Mapping[str, Any]) -> None:
             number = about["publication_sequence_number"]
             loss.take(number if publishers() == 1 else None, time.monotonic())
             callback(message)
 
-        subscription = self._node.create_subscription(
-            kind, topic, on_message, copy.copy(qos),  # rclpy writes what is overridden into the profile it is given
+        return self._node.create_subscription(
+            kind, topic, on_message, copy.copy(qos), raw=is_raw,  # rclpy writes overrides into the profile it is given
             event_callbacks=SubscriptionEventCallbacks(incompatible_qos=on_incompatible, message_lost=on_lost),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )  # fmt: skip
-        self._subscriptions.append(subscription)
 
-    def _cloud(self, name: str, message: PointCloud2) -> Cloud:
+    def _cloud(self, name: str, message: CloudMessage) -> Cloud:
         now = self._last_cloud_s = time.monotonic()
         self._statistics.inputs[name].tick(now)
         stamp_ns = self._last_stamp_ns = ns_from_stamp(message.header.stamp)
         return Cloud(message, stamp_ns, now)
 
-    def _on_scan(self, message: PointCloud2) -> None:
+    def _on_scan(self, message: CloudMessage) -> None:
         with self.lock:
             self._take(ScanJob(self._cloud("points", message)))
 
-    def _on_cloud(self, side: Side, message: PointCloud2) -> None:
+    def _on_cloud(self, side: Side, message: CloudMessage) -> None:
         with self.lock:
             cloud = self._cloud(side, message)
             self.pairer.max_skew_ns = self._parameters.settings.max_skew_ns

@@ -39,10 +39,10 @@ class LossMonitor:
             self._last_number = number
             self._note(now_s, 1)
 
-    def report(self, num_reported: int, now_s: float) -> None:
-        """The middleware says how many it has lost since the start."""
+    def report(self, num_more: int, now_s: float) -> None:
+        """The middleware says how many it has lost since its last report."""
         with self._lock:
-            self._reported = num_reported
+            self._reported += num_more
             self._note(now_s, 0)
 
     def share(self, now_s: float) -> tuple[int, int]:
