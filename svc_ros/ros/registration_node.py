@@ -39,6 +39,8 @@ class RegistrationNode(LifecycleNode):
         self._failure: Exception | None = None
         for text in self._svc.unknown_overrides():
             self.get_logger().warning(text)
+        if text := self._svc.differences():
+            self.get_logger().info(text)
         # Steady clocks: a timer on simulated time stops when the bag is paused. For good, not for a session: an
         # executor with several threads may still look at a timer that another thread destroys.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -74,6 +76,8 @@ class RegistrationNode(LifecycleNode):
         try:
             self._session = Session(self, self._svc)
             self._offered = Services(self, self._session)
+            for text in self._svc.unmatched_overrides():
+                self.get_logger().warning(text)
         except Exception as error:
             self._failure = error
             text = str(error) if isinstance(error, SvcError) else f"{type(error).__name__}: {error}"

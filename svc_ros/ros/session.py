@@ -94,6 +94,8 @@ class Session:
     def tell(self) -> None:
         """Publish diagnostics and the way so far; nothing if the session ends meanwhile on another thread."""
         settings = self._parameters.settings
+        with contextlib.suppress(InvalidHandle):
+            self.inputs.look()
         with self.inputs.lock:
             message = DiagnosticArray(status=statuses(self.statistics, self.flow(), settings.process_every))
         message.header.stamp = self._node.get_clock().now().to_msg()
@@ -199,6 +201,7 @@ class Session:
     def _on_clock_jump(self, _jump: TimeJump) -> None:
         """Simulated time went back. Clouds that came since then already are of the new time: those stay."""
         if self.inputs.is_ahead_of(self._node.get_clock().now().nanoseconds):
+            self.inputs.watch.clock_jumped()
             self.forget_inputs("the clock jumped back")
             self.frames.clear()
             self.call_on_worker(self.reset_engine)

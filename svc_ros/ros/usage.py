@@ -11,7 +11,7 @@ Registers LiDAR scans without an initial guess, and gives exactly one decision o
 transform, or rejected / undecided with a reason. It runs until Ctrl-C.
 
 modes (-p mode:=MODE), and the topics that they take:
-  pair           source_points and target_points: each pair of clouds with one stamp (the default)
+  pair           source_points, target_points: pairs of clouds by stamp; initial_guess, if there is one (the default)
   scan_matching  points: where the sensor is, scan by scan
   loop_closure   points: places that are seen again; odometry is its own, or comes by topic (odom) or TF
 
@@ -42,11 +42,20 @@ def misplaced(words: Sequence[str]) -> str | None:
     """
     for word in _own_words(words):
         if ":=" in word:
-            flag = "-r" if word.partition(":=")[0].lstrip("/~") in _INPUTS or word.startswith(("/", "~", "__")) else "-p"
-            return f"{word} stands before --ros-args and would not be read; write: registration_node --ros-args {flag} {word}"
+            return _refusal(word, f"{_flag_of(word)} {word}")
         if word in _NEED_ROS_ARGS:
-            return f"{word} stands before --ros-args and would not be read; write: registration_node --ros-args {word} ..."
+            return _refusal(word, f"{word} ...")
     return None
+
+
+def _refusal(word: str, rest: str) -> str:
+    return f"{word} stands before --ros-args and would not be read; write: registration_node --ros-args {rest}"
+
+
+def _flag_of(assignment: str) -> str:
+    """What goes before NAME:=VALUE: -r for names of the graph, else -p."""
+    name = assignment.partition(":=")[0]
+    return "-r" if name in _INPUTS or name.startswith(("/", "~", "__")) else "-p"
 
 
 def _own_words(words: Sequence[str]) -> Iterator[str]:

@@ -34,9 +34,7 @@ def test_a_signal_while_it_imports_is_exit_code_0(tmp_path, number):
     signum = signal.SIGINT if number % 2 else signal.SIGTERM
     environment = {**local_environment(own_domain_id(61)), "PYTHONPATH": str(PROJECT_ROOT)}
     command = [sys.executable, tripwire.__file__, str(number), str(int(signum))]
-    ended = subprocess.run(
-        command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=PATIENCE_S
-    )
+    ended = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=PATIENCE_S)
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")
 
 

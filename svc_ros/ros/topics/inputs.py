@@ -11,19 +11,21 @@ from typing import Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
-from rclpy.event_handler import QoSMessageLostInfo, QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
+from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
+from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import PointCloud2
 
-from svc_ros.core.errors import InputError
+from svc_ros.core.errors import ConfigError, InputError
 from svc_ros.io.stamps import ns_from_stamp
 from svc_ros.pipeline.pairing import Event, Matched, Side, StampPairer
-from svc_ros.ros.diagnostics import Statistics
+from svc_ros.ros.diagnostics import InputMonitor, Statistics
 from svc_ros.ros.parameters import NodeParameters
 from svc_ros.ros.streams.worker import Cloud, DropJob, Job, PairJob, ScanJob
 from svc_ros.ros.topics.conversions import pose_from_message
+from svc_ros.ros.topics.input_watch import InputWatch
 from svc_ros.ros.topics.poses import PoseBuffer
 
 _KEPT_GUESSES, _KEPT_ODOMETRY = 16, 1000
@@ -57,6 +59,7 @@ class Inputs:
         self._last_stamp_ns = 0
         self._subscriptions: list[Any] = []
         settings = parameters.settings
+        self.watch = InputWatch(node, statistics, settings.mode)
         names = CLOUD_INPUTS[settings.mode]
         for name in names:
             self._subscribe_clouds(name)
@@ -79,6 +82,11 @@ class Inputs:
         self.guesses.clear()
         self.odometry.clear()
 
+    def look(self) -> None:
+        """Tell what is wrong around the inputs; to be called once a second."""
+        with self.lock:
+            self.watch.look(time.monotonic())
+
     def is_ahead_of(self, now_ns: int) -> bool:
         """True if the last cloud is of a time that has not come yet: the clock has jumped back."""
         return self._last_stamp_ns > now_ns
@@ -93,30 +101,42 @@ class Inputs:
         if self._parameters.settings.process_every:
             qos.depth = _DEPTH_OF_EVERY  # of more than 5 at once the middleware would lose the oldest, uncounted
         if name == "points":
-            self._subscribe(PointCloud2, "points", self._on_scan, qos)
+            self._subscribe(PointCloud2, "points", self._on_scan, qos, self._statistics.inputs[name])
         else:
             on_cloud = functools.partial(self._on_cloud, "source" if name == "source" else "target")
-            self._subscribe(PointCloud2, f"{name}_points", on_cloud, qos)
+            self._subscribe(PointCloud2, f"{name}_points", on_cloud, qos, self._statistics.inputs[name])
 
-    def _subscribe(self, kind: Any, topic: str, callback: Callable[[Any], None], qos: QoSProfile) -> None:
-        def on_incompatible(info: QoSRequestedIncompatibleQoSInfo) -> None:
-            self._statistics.qos_problems[topic] = f"{info.last_policy_kind} differs from the publisher's"
-            self._node.get_logger().error(f"{topic}: a publisher's QoS does not fit; see qos_overrides./{topic}")
+    def _subscribe(
+        self,
+        kind: Any,
+        topic: str,
+        callback: Callable[[Any], None],
+        qos: QoSProfile,
+        monitor: InputMonitor | None = None,
+    ) -> None:
+        def on_incompatible(_info: object) -> None:
+            self.look()
 
         def on_lost(info: QoSMessageLostInfo) -> None:
             self._statistics.num_lost[topic] = info.total_count
 
-        subscription = self._node.create_subscription(
-            kind, topic, callback, copy.copy(qos),  # rclpy writes what is overridden into the profile that it is given
-            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=on_incompatible, message_lost=on_lost),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )  # fmt: skip
+        wanted = copy.copy(qos)  # rclpy writes what is overridden into the profile that it is given
+        try:
+            subscription = self._node.create_subscription(
+                kind, topic, callback, wanted,
+                event_callbacks=SubscriptionEventCallbacks(incompatible_qos=on_incompatible, message_lost=on_lost),
+                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            )  # fmt: skip
+        except (RuntimeError, ParameterException) as error:
+            raise ConfigError(f"qos_overrides.{self._node.resolve_topic_name(topic)}: {error}") from None
         self._subscriptions.append(subscription)
+        self.watch.add(topic, wanted, monitor)
 
     def _cloud(self, name: str, message: PointCloud2) -> Cloud:
         now = self._last_cloud_s = time.monotonic()
         self._statistics.inputs[name].tick(now)
         stamp_ns = self._last_stamp_ns = ns_from_stamp(message.header.stamp)
+        self.watch.stamped(stamp_ns)
         return Cloud(message, stamp_ns, now)
 
     def _on_scan(self, message: PointCloud2) -> None:
