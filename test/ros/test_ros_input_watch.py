@@ -11,7 +11,7 @@ rclpy = pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ro
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from mini_data import POSES, scan_room  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
-from rclpy.qos import QoSProfile, qos_profile_sensor_data  # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data  # noqa: E402
 from ros_bench import Host, cloud  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import PointCloud2  # noqa: E402
@@ -148,3 +148,16 @@ def test_time_that_jumps_back_is_told_once_with_what_is_forgotten(host, capfd, h
     (line,) = [line for line in capfd.readouterr().err.splitlines() if "jumped back" in line]
     assert "the clock jumped" in line if has_clock else "stamps jumped" in line
     assert line.endswith("keyframes are forgotten, odometry begins anew")
+
+
+def test_decisions_are_told_under_name_and_namespace_as_diagnostics_are(host):
+    start(host)
+    told = []
+    latest = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    host.node.create_subscription(DiagnosticArray, "/robot/svc_registration/decision", told.append, latest)
+    points = host.node.create_publisher(PointCloud2, RESOLVED, QoSProfile(depth=10))
+    assert spin_until(host.executor, points.get_subscription_count, PATIENCE_S)
+    points.publish(cloud(POINTS, 1.0))
+    assert spin_until(host.executor, lambda: told, PATIENCE_S)
+    (status,) = told[0].status
+    assert (status.name, status.hardware_id) == ("robot/svc_registration: decision", "robot/svc_registration")
