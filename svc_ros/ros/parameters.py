@@ -151,7 +151,8 @@ class NodeParameters:
     def unmatched_overrides(self) -> list[str]:
         """One line for each QoS override that was given and fits no input; asked when the inputs are there."""
         declared = [f"qos_overrides.{name}" for name in self._node.get_parameters_by_prefix("qos_overrides")]
-        return unmatched_overrides(getattr(self._node, "_parameter_overrides", {}), declared)
+        given = getattr(self._node, "_parameter_overrides", {})
+        return unmatched_overrides(given, declared, self._node.resolve_topic_name)
 
     def differences(self) -> str:
         """One line on what was given and is not the preset's, or the node's, own value; empty if nothing."""

@@ -4,17 +4,25 @@ from __future__ import annotations
 
 import difflib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
+INPUT_TOPICS = ("source_points", "target_points", "points", "odom", "initial_guess")  # of all modes
+_POLICIES = ("history", "depth", "reliability")  # what may be overridden
 _OVERRIDES = "qos_overrides."
 _OF_RCLPY = tuple(f"{_OVERRIDES}{topic}." for topic in ("/clock", "/parameter_events", "/rosout"))
 
 
-def unmatched_overrides(given: Iterable[str], declared: Iterable[str]) -> list[str]:
-    """One line for each `qos_overrides.TOPIC...` that was given and is none of those declared, with the nearest one."""
+def unmatched_overrides(given: Iterable[str], declared: Iterable[str], resolve: Callable[[str], str]) -> list[str]:
+    """One line for each `qos_overrides.TOPIC...` that was given and fits no input, with the nearest one declared.
+
+    resolve: the full name of an input. Overrides of an input that only another mode has are let through: a file of
+    parameters, or a launch file, may serve several modes.
+    """
     known = [name for name in declared if name.startswith(_OVERRIDES)]
-    wrong = [n for n in given if n.startswith(_OVERRIDES) and n not in known and not n.startswith(_OF_RCLPY)]
+    inputs = tuple(f"{_OVERRIDES}{resolve(topic)}.subscription." for topic in INPUT_TOPICS)
+    fits = {f"{topic}{policy}" for topic in inputs for policy in _POLICIES}
+    wrong = [n for n in given if n.startswith(_OVERRIDES) and n not in fits and not n.startswith(_OF_RCLPY)]
     return [_unmatched(name, known) for name in wrong]
 
 
@@ -26,7 +34,7 @@ def differences(preset: str, values: Mapping[str, Any], defaults: Mapping[str, A
 
 def _unmatched(name: str, known: list[str]) -> str:
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)
-    text = f"parameter {name} fits no input of this mode and does nothing"
+    text = f"parameter {name} fits no input and does nothing"
     return text + (f"; did you mean {near[0]}?" if near else "")
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from svc_ros.ros.start_notes import INPUT_TOPICS
+
 USAGE = """\
 usage: registration_node [-h] [--ros-args [-p NAME:=VALUE ...] [-r FROM:=TO ...] [--params-file FILE]]
 
@@ -26,7 +28,6 @@ answers: /svc_registration/decision (every verdict, with its reason); accepted o
 all parameters, topics and reasons: docs/reference.md; messages: docs/interfaces.md;
 nothing arrives, or all is rejected: docs/decisions.md
 """
-_INPUTS = ("source_points", "target_points", "points", "odom", "initial_guess")
 _NEED_ROS_ARGS = ("-p", "--param", "-r", "--remap", "--params-file")
 
 
@@ -55,7 +56,7 @@ def _refusal(word: str, rest: str) -> str:
 def _flag_of(assignment: str) -> str:
     """What goes before NAME:=VALUE: -r for names of the graph, else -p."""
     name = assignment.partition(":=")[0]
-    return "-r" if name in _INPUTS or name.startswith(("/", "~", "__")) else "-p"
+    return "-r" if name in INPUT_TOPICS or name.startswith(("/", "~", "__")) else "-p"
 
 
 def _own_words(words: Sequence[str]) -> Iterator[str]:

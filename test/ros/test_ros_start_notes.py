@@ -6,11 +6,16 @@ import pytest
 
 from svc_ros.ros.start_notes import differences, unmatched_overrides
 
+RESOLVED = {"points": "/robot/lidar/points", "odom": "/robot/odom"}
 DECLARED = [
     f"qos_overrides.{topic}.subscription.{policy}"
     for topic in ("/robot/lidar/points", "/robot/odom")
     for policy in ("reliability", "depth", "history")
 ]
+
+
+def resolved(topic: str) -> str:
+    return RESOLVED.get(topic, f"/robot/{topic}")
 
 
 @pytest.mark.parametrize(
@@ -22,13 +27,14 @@ DECLARED = [
     ],
 )
 def test_an_override_that_fits_no_input_is_told_with_the_nearest_name(given, near):
-    (line,) = unmatched_overrides([f"qos_overrides.{given}", *DECLARED], DECLARED)
+    (line,) = unmatched_overrides([f"qos_overrides.{given}", *DECLARED], DECLARED, resolved)
     assert line.startswith(f"parameter qos_overrides.{given} fits no input")
     assert line.endswith(f"did you mean qos_overrides.{near}?")
 
 
-def test_overrides_that_fit_and_those_of_rclpy_are_not_told():
-    assert unmatched_overrides([*DECLARED, "qos_overrides./clock.subscription.depth", "mode"], DECLARED) == []
+def test_overrides_that_fit_those_of_other_modes_and_those_of_rclpy_are_not_told():
+    others = [f"qos_overrides./{topic}.subscription.depth" for topic in ("robot/source_points", "clock")]
+    assert unmatched_overrides([*DECLARED, *others, "mode"], DECLARED, resolved) == []
 
 
 def test_only_what_differs_is_told():
