@@ -25,27 +25,26 @@ ARGUMENTS = {
     "odom_frame": ("odom", "frame of the odometry"),
     "base_frame": ("", "frame whose pose scan_matching tells; '' for the cloud's, with publish_tf a fixed base_link"),
     "sensor_frame": ("", "frame of the sensor, where clouds are in another one; '' for the cloud's frame"),
-    "publish_tf": ("false", "accepted transforms on /tf too (pair, scan_matching)"),
-    "invert_odom_tf": ("false", "scan_matching's /tf has odom_frame as the child, not as the parent"),
+    "publish_tf": ("false", "true or false: accepted transforms on /tf too (pair, scan_matching)"),
+    "invert_odom_tf": ("false", "true or false: scan_matching's /tf has odom_frame as the child, not as the parent"),
     "map_frame": ("", "pair: accepted pairs tell where odom_frame stands in this frame, on /tf; '' for not"),
     "graph_file": ("", "loop_closure writes its pose graph here; '' for nowhere"),
-    "process_every": ("false", "compute every pair or scan, however many wait: for bags"),
-    "reliable": ("false", "ask for reliable clouds, which needs publishers that are reliable"),
+    "process_every": ("false", "true or false: compute every pair or scan, however many wait: for bags"),
+    "reliable": ("false", "true or false: ask for reliable clouds, which needs publishers that are reliable"),
     "namespace": ("", "namespace of the node"),
-    "use_sim_time": ("false", "take the time from /clock"),
-    "rviz": ("false", "show target, aligned source, verdict and sight lines in RViz (needs rviz2)"),
+    "use_sim_time": ("false", "true or false: take the time from /clock"),
+    "rviz": ("false", "true or false: show target, aligned source, verdict and sight lines in RViz (needs rviz2)"),
     "fixed_frame": ("", "RViz's fixed frame: in mode pair that of the target clouds; '' for odom_frame"),
 }
-SWITCH = ["true", "false"]
 CHOICES = {
     "mode": MODES,
     "preset": ["lidar_outdoor", "lidar_indoor", "rgbd_indoor", "auto"],
     "method": ["svc", "svc_paper", "sc2"],
     "odometry": ["own", "topic", "tf"],
-    **dict.fromkeys(("publish_tf", "invert_odom_tf", "process_every", "reliable", "use_sim_time", "rviz"), SWITCH),
 }
 TEXTS = ("mode", "preset", "method", "odometry", "odom_frame", "base_frame", "sensor_frame", "map_frame", "graph_file")
-SWITCHES = ("publish_tf", "invert_odom_tf", "process_every", "use_sim_time")
+PARAMETER_SWITCHES = ("publish_tf", "invert_odom_tf", "process_every", "use_sim_time")
+SWITCHES = (*PARAMETER_SWITCHES, "reliable", "rviz")  # true or false
 INPUTS = {"source_points": "source", "target_points": "target", "points": "points"}
 OTHER_INPUTS = ("initial_guess", "odom")
 SHOWN = ("aligned", "blocked_points", "sight_lines", "pose", "odometry", "path")
@@ -59,7 +58,7 @@ def generate_launch_description():
 
 def start(context):
     """What the arguments ask for, whose values are known by now."""
-    given, found = find_live(given_values(context, ARGUMENTS))
+    given, found = find_live(given_values(context, ARGUMENTS, SWITCHES))
     node = Node(
         package="svc_ros",
         executable="registration_node",
@@ -76,7 +75,7 @@ def start(context):
 def parameters(given):
     """The node's parameters; a text that is empty stays the default."""
     values = {name: given[name] for name in TEXTS if given[name]}
-    values |= {name: given[name] == "true" for name in SWITCHES}
+    values |= {name: given[name] == "true" for name in PARAMETER_SWITCHES}
     if given["reliable"] == "true":
         topics = (full_name(given[name], given["namespace"]) for name in INPUTS.values())
         values |= {f"qos_overrides.{topic}.subscription.reliability": "reliable" for topic in topics}

@@ -27,6 +27,7 @@ from rich.text import Text
 
 from svc_ros.core.compiling import Compiling, opening, told, watched
 from svc_ros.core.errors import InputError
+from svc_ros.io.places import check_place
 
 STDOUT = "-"
 
@@ -94,13 +95,7 @@ def check_json_target(target: str | None) -> None:
     """Refuse a place that cannot be written before the work starts, not after it."""
     if target is None or target == STDOUT:
         return
-    path = Path(target)
-    if path.is_dir():
-        raise InputError(f"--json {target}: expected a file, found a folder")
-    if not path.parent.is_dir():
-        raise InputError(f"--json {target}: the folder {path.parent} does not exist")
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise InputError(f"--json {target}: no permission to write there")
+    check_place("--json", target)
 
 
 def make_output_folder(path: Path) -> None:

@@ -98,10 +98,10 @@ class CloudPlayer:
 
 def main(args: list[str] | None = None) -> int:
     """Play a bag. Exit code 0 when all was played, 1 without subscribers or decisions, 2 on bad input."""
+    options = _parser().parse_args(remove_ros_args(args)[1:] if args is None else remove_ros_args(args))
     os.environ.update(with_profile())
     rclpy.init(args=args)
     try:
-        options = _parser().parse_args(remove_ros_args(args)[1:] if args is None else remove_ros_args(args))
         return _play(options)
     except SvcError as error:
         print(f"bag_player: {error}", file=sys.stderr)

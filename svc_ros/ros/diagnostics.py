@@ -18,7 +18,7 @@ from svc_ros.ros.streams.decision import Decision
 from svc_ros.ros.topics.loss import LossMonitor
 
 _RATE_WINDOW_S = 10.0
-_STALE_AFTER_S = 5.0
+STALE_AFTER_S = 5.0
 _REJECTS_IN_A_ROW = 5
 _KEPT_LATENCIES = 200
 _FAULTS = (Reason.INTERNAL_ERROR, Reason.TF_UNAVAILABLE)
@@ -82,6 +82,7 @@ class Statistics:
         with self._lock:
             self._num_pending -= 1
             self._num_silent += not decisions
+            self.fault = "" if not decisions else self.fault  # a scan without candidates is a scan without a fault
             for decision in decisions:
                 self._count(decision)
 
@@ -136,7 +137,7 @@ def _input_status(statistics: Statistics, now: float) -> DiagnosticStatus:
     for side, monitor in statistics.inputs.items():
         values |= {f"{side}_received": monitor.num_received, f"{side}_rate_hz": round(monitor.rate_hz(now), 2)}
         is_expected = monitor.is_needed or monitor.num_received > 0
-        if is_expected and monitor.silence_s(now) > _STALE_AFTER_S:
+        if is_expected and monitor.silence_s(now) > STALE_AFTER_S:
             silent.append(side)
     values |= {f"qos_{topic}": text for topic, text in statistics.qos_problems.items()}
     values |= {f"lost_{topic}": loss.num_lost for topic, loss in statistics.losses.items()}
@@ -150,7 +151,7 @@ def _input_status(statistics: Statistics, now: float) -> DiagnosticStatus:
         told = "; ".join(f"{topic}: {lost}" for topic, lost in losses.items())
         return _status("input", _WARN, f"{told}: {cure()}", values)
     if silent:
-        return _status("input", _WARN, f"no clouds for {_STALE_AFTER_S:g} s: " + ", ".join(silent), values)
+        return _status("input", _WARN, f"no clouds for {STALE_AFTER_S:g} s: " + ", ".join(silent), values)
     return _status("input", _OK, "clouds arrive", values)
 
 

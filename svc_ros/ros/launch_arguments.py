@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from svc_ros.core.errors import ConfigError
 from svc_ros.io.config_yaml import NODE_NAME
 
 if TYPE_CHECKING:
@@ -33,8 +34,20 @@ def describe(
     return LaunchDescription([*declared, OpaqueFunction(function=start)])
 
 
-def given_values(context: LaunchContext, arguments: Arguments) -> dict[str, str]:
-    """The arguments' values by name."""
+def given_values(context: LaunchContext, arguments: Arguments, switches: Collection[str] = ()) -> dict[str, str]:
+    """The arguments' values by name; those of `switches` are `true` or `false`, however they were capitalised.
+
+    Raises ConfigError for a switch that is neither.
+    """
     from launch.substitutions import LaunchConfiguration
 
-    return {name: LaunchConfiguration(name).perform(context) for name in arguments}
+    values = {name: LaunchConfiguration(name).perform(context) for name in arguments}
+    return values | {name: _switch(name, values[name]) for name in switches}
+
+
+def _switch(name: str, value: str) -> str:
+    """As Python, YAML and XML write it; a list of choices would have to name every spelling."""
+    text = value.strip().lower()
+    if text not in ("true", "false"):
+        raise ConfigError(f"launch argument {name}: expected true or false, found {value!r}")
+    return text

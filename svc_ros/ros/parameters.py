@@ -22,6 +22,7 @@ from svc_ros.core.auto_preset import Choice
 from svc_ros.core.config import AUTO, PRESETS, Config, FieldInfo, preset, unknown_name, values_of, walk, with_values
 from svc_ros.core.errors import ConfigError, MissingDependencyError
 from svc_ros.core.matches.descriptors import load_descriptors
+from svc_ros.ros.start_notes import differences, unmatched_overrides
 
 MODES = ("pair", "scan_matching", "loop_closure")
 ODOMETRY = ("own", "topic", "tf")
@@ -158,6 +159,7 @@ class NodeParameters:
         load_descriptors(self.config)
         self.settings = _settings(NodeSettings(), {info.name: self._declare(info) for info in OWN})
         self._known = [*values_of(base), *(info.name for info in OWN), "preset"]
+        self._defaults = {**values_of(base), **{info.name: info.default for info in OWN}}
         node.add_on_set_parameters_callback(self._check_change)
         node.add_post_set_parameters_callback(self._apply_change)
 
@@ -184,6 +186,18 @@ class NodeParameters:
         given = getattr(self._node, "_parameter_overrides", {})
         foreign = [n for n in given if n not in self._known and not n.startswith(_FOREIGN)]
         return [_unknown_parameter(name, self._known) for name in foreign]
+
+    def unmatched_overrides(self) -> list[str]:
+        """One line for each QoS override that was given and fits no input; asked when the inputs are there."""
+        declared = [f"qos_overrides.{name}" for name in self._node.get_parameters_by_prefix("qos_overrides")]
+        given = getattr(self._node, "_parameter_overrides", {})
+        return unmatched_overrides(given, declared, self._node.resolve_topic_name)
+
+    def differences(self) -> str:
+        """One line on what was given and is not the preset's, or the node's, own value; empty if nothing."""
+        now = {**values_of(self.config), **dataclasses.asdict(self.settings)}
+        told = {name: now[name] for name in self._defaults if name in self._given and name != "mode"}
+        return differences(self.preset_name, told, self._defaults)
 
     def _declare(self, info: FieldInfo) -> Any:
         """Declare one parameter and return its value: the default, or what the user gave."""

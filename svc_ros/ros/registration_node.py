@@ -26,8 +26,9 @@ class RegistrationNode(LifecycleNode):
     """A lifecycle node that answers every pair or scan with exactly one decision.
 
     Options are those of rclpy's Node. With `autostart` (the default) it is active when the constructor returns, and
-    what prevents that is raised: ConfigError for refused parameters, MissingDependencyError where a parameter needs a
-    package that is not there. Call `stop` before the node is destroyed, to say how long a job may still take.
+    what prevents that is raised: ConfigError for refused parameters, InputError for a `graph_file` that cannot be
+    written, MissingDependencyError where a parameter needs a package that is not there. Call `stop` before the node is
+    destroyed, to say how long a job may still take.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -37,8 +38,11 @@ class RegistrationNode(LifecycleNode):
         self._offered: Services | None = None
         self._last_offered: Services | None = None
         self._failure: Exception | None = None
+        self._is_starting = False
         for text in self._svc.unknown_overrides():
             self.get_logger().warning(text)
+        if text := self._svc.differences():
+            self.get_logger().info(text)
         # Steady clocks: a timer on simulated time stops when the bag is paused. For good, not for a session: an
         # executor with several threads may still look at a timer that another thread destroys.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -74,10 +78,13 @@ class RegistrationNode(LifecycleNode):
         try:
             self._session = Session(self, self._svc)
             self._offered = Services(self, self._session)
+            for text in self._svc.unmatched_overrides():
+                self.get_logger().warning(text)
         except Exception as error:
             self._failure = error
             text = str(error) if isinstance(error, SvcError) else f"{type(error).__name__}: {error}"
-            self.get_logger().error(f"cannot be configured: {text}")
+            if not self._is_starting:  # otherwise it is raised
+                self.get_logger().error(f"cannot be configured: {text}")
             return _FAILURE
         return super().on_configure(state)
 
@@ -105,8 +112,10 @@ class RegistrationNode(LifecycleNode):
         return super().on_shutdown(state)
 
     def _start(self) -> None:
+        self._is_starting = True
         if self.trigger_configure() != _SUCCESS:
             raise self._failure or SvcError("the node cannot be configured")
+        self._is_starting = False
         self.trigger_activate()
 
     def _tell(self) -> None:

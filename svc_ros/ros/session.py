@@ -22,6 +22,7 @@ from svc_ros.core.compiling import told
 from svc_ros.core.errors import InputError, MissingDependencyError
 from svc_ros.core.result import Reason
 from svc_ros.core.scan import Array, Scan
+from svc_ros.io.places import check_place
 from svc_ros.pipeline.decide import refused
 from svc_ros.pipeline.scan_matching import ScanMatcher
 from svc_ros.ros.diagnostics import Statistics, statuses
@@ -31,7 +32,8 @@ from svc_ros.ros.streams.first_choice import FirstChoice
 from svc_ros.ros.streams.loop_engine import LoopEngine
 from svc_ros.ros.streams.matching_engine import MatchingEngine
 from svc_ros.ros.streams.registrar import PairRegistrar
-from svc_ros.ros.streams.worker import DropJob, Job, Worker
+from svc_ros.ros.streams.worker import DropJob, Job, PairJob, Worker
+from svc_ros.ros.topics.conversions import status_name
 from svc_ros.ros.topics.frames import Frames
 from svc_ros.ros.topics.inputs import CLOUD_INPUTS, Inputs
 from svc_ros.ros.topics.outputs import Outputs
@@ -44,7 +46,8 @@ _JUMP = JumpThreshold(min_forward=None, min_backward=Duration(seconds=-1), on_cl
 
 
 class Session:
-    """The node at work. Raises MissingDependencyError where a parameter needs a package that is not there.
+    """The node at work. Raises MissingDependencyError where a parameter needs a package that is not there, InputError
+    where `graph_file` cannot be written, ConfigError for QoS overrides that are none.
 
     is_active: take new work; without it every input is dropped as `inactive`. Lowers the interpreter's switch interval.
     """
@@ -53,8 +56,7 @@ class Session:
         self._node, self._parameters = node, parameters
         settings = parameters.settings
         self.is_active, self.is_enabled = False, True
-        # Several nodes tell on one topic: each under its name, with its namespace if it has one.
-        self.statistics = Statistics(CLOUD_INPUTS[settings.mode], node.get_fully_qualified_name().lstrip("/"))
+        self.statistics = Statistics(CLOUD_INPUTS[settings.mode], status_name(node))
         # What may need a package that is not there comes first: nothing is left behind then.
         self.engine: Engine = self._make_engine()
         self.frames = Frames(node, settings)
@@ -94,9 +96,8 @@ class Session:
     def tell(self) -> None:
         """Publish diagnostics and the way so far; nothing if the session ends meanwhile on another thread."""
         settings = self._parameters.settings
-        self.inputs.tell_losses()
         with contextlib.suppress(InvalidHandle):
-            self.inputs.look_at_types()
+            self.inputs.look()
         with self.inputs.lock:
             message = DiagnosticArray(status=statuses(self.statistics, self.flow(), settings.process_every))
         message.header.stamp = self._node.get_clock().now().to_msg()
@@ -178,6 +179,8 @@ class Session:
             return MatchingEngine(sources.origin, sources.base, settings.odom_frame)
         if settings.mode == "loop_closure":
             graph_file = Path(settings.graph_file) if settings.graph_file else None
+            if graph_file is not None:
+                check_place("graph_file", graph_file)
             return LoopEngine(sources, settings.odometry == "own", graph_file)
         return PairRegistrar(sources.origin, sources.guess)
 
@@ -202,6 +205,7 @@ class Session:
     def _on_clock_jump(self, _jump: TimeJump) -> None:
         """Simulated time went back. Clouds that came since then already are of the new time: those stay."""
         if self.inputs.is_ahead_of(self._node.get_clock().now().nanoseconds):
+            self.inputs.watch.clock_jumped()
             self.forget_inputs("the clock jumped back")
             self.frames.clear()
             self.call_on_worker(self.reset_engine)
@@ -234,6 +238,8 @@ class Session:
     def _process(self, job: Job) -> None:
         settings = self._parameters.settings
         try:
+            if isinstance(job, PairJob):
+                self.frames.check_one_stamp(settings, job.source.label, job.target.label)
             self._first_choice.settle(job)
             decisions = self.engine.process(job, self._parameters.config)
         except Exception as error:

@@ -17,6 +17,7 @@ import pytest
 import setuptools
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from pages import PAGES
 from places import NOT_COPIED, PROJECT_ROOT
 from test_architecture import ROS_MODULES, imported_names
 
@@ -195,6 +196,17 @@ class TestInstallation:
         num_tests, num_errors, num_failures = map(int, summary.groups())
         assert num_tests > 0
         assert (num_errors, num_failures) == (0, 0), result.stdout
+
+    def test_documented_colcon_commands_are_known_to_what_the_set_up_installs(self) -> None:
+        pytest.importorskip("colcon_core", reason="colcon not installed: pip install 'svc_ros[test]'")
+        pytest.importorskip("colcon_ros", reason="colcon-ros not installed: pip install 'svc_ros[test]'")
+        commands = {c for text in PAGES.values() for c in re.findall(r"^ *python -m colcon (.*)", text, re.MULTILINE)}
+        assert commands
+        parts = [part.split() for c in commands for part in c.replace("python -m colcon ", "").split("&&")]
+        for verb, *words in parts:
+            known = run(sys.executable, "-m", "colcon", verb, "--help").stdout
+            options = {word for word in words if word.startswith("--")}
+            assert options <= set(re.findall(r"--[\w-]+", known)), verb
 
 
 def stub(folder: Path, name: str, body: str) -> Path:

@@ -20,20 +20,29 @@ from ros_bench import Host, cloud
 from sensor_msgs.msg import PointCloud2
 from yardstick import PATIENCE_S
 
+from svc_ros.core.errors import TransformUnavailableError
+from svc_ros.ros.bag_player import CloudPlayer
 from svc_ros.ros.collector import DecisionCollector, spin_until
 from svc_ros.ros.processes import own_domain_id
+from svc_ros.ros.streams.worker import CloudLabel
+from svc_ros.ros.topics.conversions import transform_message
 
 pytestmark = pytest.mark.dds
 
 MOUNT = np.array([0.1, 0.2, 1.5])
+FIRST_S = 100.0
 SCANS = [scan_room(T, seed=k) for k, T in enumerate(POSES)]
 
 
 class Tree:
-    """What tf2 knows: (target, source) to a translation; a look-up waits for its timeout, or until it is over."""
+    """What tf2 knows: (target, source) to a translation; a look-up waits for its timeout, or until it is over.
+
+    As in tf2, a static transform is known of all times, another one since it came.
+    """
 
     def __init__(self) -> None:
         self.known = {("base_link", "lidar"): MOUNT}
+        self.moving = {}  # (target, source) to the translation as a function of time [s], known since FIRST_S
         self.num_cleared, self.num_listeners = 0, 0
         self.is_over = threading.Event()
 
@@ -41,11 +50,15 @@ class Tree:
         tree = self
 
         class Buffer:
-            def lookup_transform(self, target, source, _time, timeout):
-                if (target, source) not in tree.known:
+            def lookup_transform(self, target, source, time, timeout):
+                seconds = time.nanoseconds * 1e-9
+                if (target, source) in tree.moving and seconds >= FIRST_S:
+                    x, y, z = tree.moving[target, source](seconds).tolist()
+                elif (target, source) in tree.known:
+                    x, y, z = tree.known[target, source].tolist()
+                else:
                     tree.is_over.wait(timeout.nanoseconds * 1e-9)
                     raise LookupError("not in the tree")
-                x, y, z = tree.known[target, source].tolist()
                 turn = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)
                 shift = SimpleNamespace(x=x, y=y, z=z)
                 return SimpleNamespace(transform=SimpleNamespace(translation=shift, rotation=turn))
@@ -157,3 +170,68 @@ def test_a_sensor_frame_that_is_set_at_work_is_looked_up_or_refused_for_want_of_
     assert tree.num_listeners == 1
     assert stream.decide(1.1, "map")["reason"] == "tf_unavailable"
     assert stream.decide(1.2, "lidar", shift=0.0)["reason"] == "unsupported_cloud"  # a stream stays with its frame
+
+
+class PairsInFrames:
+    """Two scans of a room that were taken at two places, sent in any frames."""
+
+    def __init__(self, host: Host) -> None:
+        self._player = CloudPlayer(host.node, host.executor, "/source_points", "/target_points")
+        self._collector = DecisionCollector(host.node, host.executor)
+        assert self._player.wait_for_subscribers(PATIENCE_S)
+
+    def decide(self, source, target):
+        """Each is points, stamp [s] and frame."""
+        before = len(self._collector.answers.decisions)
+        self._player.publish(cloud(*source), cloud(*target))
+        assert self._collector.wait_for_decisions(before + 1, PATIENCE_S)
+        return self._collector.answers.decisions[-1]
+
+
+def drive(seconds: float) -> np.ndarray:
+    """Where the sensor of PairsInFrames is in `odom`: at 0 until 200 s, at 6 m from then on."""
+    return np.array([6.0 if seconds >= 200.0 else 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("mode", ["pair", "loop_closure"])
+def test_two_scans_with_one_stamp_in_a_frame_that_moves_are_refused_with_what_to_do(host, tree, mode):
+    tree.moving["odom", "lidar"] = tree.moving["map", "lidar"] = drive
+    host.start(mode=mode, sensor_frame="lidar")
+    pairs = PairsInFrames(host)
+    for frame in ("odom", "map"):
+        refused = pairs.decide((SCANS[1], 200.0, "odom"), (SCANS[0], 200.0, frame))
+        assert (refused["verdict"], refused["reason"]) == ("rejected", "tf_unavailable")
+        assert "both have the stamp 200.000000000 s" in refused["detail"]
+        assert "where 'lidar' moves; send them in the sensor's frame" in refused["detail"]
+    assert pairs.decide((SCANS[1], 201.0, "lidar"), (SCANS[0], 201.0, "lidar"))["verdict"] == "accepted"
+
+
+def test_scans_whose_places_tf_has_are_registered(host, tree):
+    tree.moving["odom", "lidar"] = drive
+    host.start(sensor_frame="lidar", pair_timeout=0.2)
+    pairs = PairsInFrames(host)
+    at_six = SCANS[1] + drive(200.0)
+    static = pairs.decide((SCANS[1] + MOUNT, 200.0, "base_link"), (SCANS[0] + MOUNT, 200.0, "base_link"))
+    one_moves = pairs.decide((at_six, 201.0, "odom"), (SCANS[0] + MOUNT, 201.0, "base_link"))
+    own_stamps = pairs.decide((at_six, 200.01, "odom"), (SCANS[0], 199.99, "odom"))
+    assert [d["verdict"] for d in (static, one_moves, own_stamps)] == ["accepted"] * 3
+
+
+def test_a_frame_without_tf_is_told_with_its_side(host, tree):
+    host.start(sensor_frame="lidar", tf_timeout=0.01)
+    lost = PairsInFrames(host).decide((SCANS[1] + MOUNT, 200.0, "base_link"), (SCANS[0], 200.0, "map"))
+    assert lost["detail"].startswith("target: expected a transform from 'lidar' to 'map' at 200.000000000 s")
+
+
+@pytest.mark.parametrize("is_static", [True, False])
+def test_real_tf2_tells_static_transforms_from_those_that_move(host, monkeypatch, is_static):
+    monkeypatch.delitem(sys.modules, "tf2_ros")
+    pytest.importorskip("tf2_ros", reason="needs tf2_ros (apt install ros-jazzy-tf2-ros-py)")
+    node = host.start(sensor_frame="lidar")
+    buffer = node._session.frames._buffer
+    for second in (200, 201):
+        message = transform_message(np.eye(4), second * 1_000_000_000, "odom", "lidar")
+        (buffer.set_transform_static if is_static else buffer.set_transform)(message, "test")
+    labels = (CloudLabel(200_500_000_000, "odom"), CloudLabel(200_500_000_000, "odom"))
+    with contextlib.nullcontext() if is_static else pytest.raises(TransformUnavailableError, match="moves"):
+        node._session.frames.check_one_stamp(node._svc.settings, *labels)

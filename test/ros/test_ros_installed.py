@@ -17,6 +17,7 @@ pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
 pytest.importorskip("colcon_core", reason="colcon not installed: pip install 'svc_ros[test]'")
 pytest.importorskip("colcon_ros", reason="colcon-ros not installed: pip install 'svc_ros[test]'")
 
+from pages import README
 from places import NOT_COPIED, PROJECT_ROOT
 from yardstick import PATIENCE_S, time_to_end
 
@@ -30,10 +31,19 @@ def prefix(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("workspace")
     shutil.copytree(PROJECT_ROOT, folder / "src" / "svc_ros", ignore=NOT_COPIED)
     environment = {**os.environ, "COLCON_HOME": str(folder / "home"), "PYTHONWARNINGS": "ignore"}
-    command = [sys.executable, "-m", "colcon", "build"]
+    environment["PATH"] = f"{Path(sys.executable).parent}:{environment['PATH']}"
+    script = "\n".join([*workspace_commands(), 'printf "%s" "$AMENT_PREFIX_PATH" > found'])
+    command = ["bash", "-e", "-c", script]
     built = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=PATIENCE_S)
     assert built.returncode == 0, built.stdout + built.stderr
-    return folder / "install" / "svc_ros"
+    return Path((folder / "found").read_text("utf-8").split(":")[0])  # where `ros2 run` looks
+
+
+def workspace_commands() -> list[str]:
+    """What the README says to build the workspace and to source it."""
+    lines = [line for line in README.splitlines() if line.startswith(("python -m colcon", "source install/"))]
+    assert len(lines) == 2
+    return lines
 
 
 @pytest.mark.parametrize("parameters", [[], ["-p", "mode:=scan_matching", "--params-file", "lidar_indoor.yaml"]])
@@ -64,6 +74,12 @@ def test_the_installed_executable_is_ready_and_ends_with_ctrl_c(prefix, tmp_path
     text = log.read_text("utf-8")
     expected = "scan_matching, preset lidar_indoor" if parameters else "pair, preset lidar_outdoor"
     assert re.search(f"ready: mode {expected}", text), text
+
+
+def test_the_workspace_as_documented_has_what_ros2_run_looks_for(prefix):
+    assert prefix.parts[-2:] == ("install", "svc_ros")
+    for name in ("registration_node", "bag_player"):
+        assert os.access(prefix / "lib/svc_ros" / name, os.X_OK), name
 
 
 def test_the_installed_package_is_what_runs(prefix, tmp_path):

@@ -315,13 +315,16 @@ def test_node_ends_with_exit_code_0_within_two_seconds(tmp_path, signum, moment)
         ("queue_size:=0", "queue_size"),
         ("sensor_origin:=[0.0, 1.0]", "sensor_origin: expected 3 numbers"),
         ("method:=5", "method: expected a str"),
+        ("mode:=loop_closure -p graph_file:=/gone/a.g2o", "graph_file /gone/a.g2o: expected a folder /gone"),
+        ("qos_overrides./source_points.subscription.reliability:=reliabel", "qos_overrides./source_points: "),
     ],
 )
 def test_refused_parameter_at_start_is_one_line_and_exit_code_2(tmp_path, parameter, text):
     environment = local_environment(own_domain_id(3))
-    with ChildProcess("svc_ros.ros.node", ["--ros-args", "-p", parameter], environment, tmp_path / "log") as node:
+    words = ["--ros-args", *(word for setting in parameter.split(" -p ") for word in ("-p", setting))]
+    with ChildProcess("svc_ros.ros.node", words, environment, tmp_path / "log") as node:
         assert node.wait(PATIENCE_S) == 2
-        lines = [line for line in node.output().splitlines() if line.startswith("registration_node: ")]
+        lines = [line for line in node.output().splitlines() if text in line]
         assert len(lines) == 1
-        assert text in lines[0]
+        assert lines[0].startswith("registration_node: ")
         assert "Traceback" not in node.output()

@@ -176,3 +176,9 @@ def test_an_uncertain_heading_far_from_the_origin_is_an_uncertain_position():
     told = odometry_message(estimate, 0, "odom", "lidar").pose.covariance.reshape(6, 6)
     np.testing.assert_allclose(np.diag(told), [1e-4, 1e-4 + 1.0, 1e-4, 0.0, 0.0, 1e-4])
     assert told[1, 5] == pytest.approx(0.01)  # turned left, it stands farther left
+
+
+def test_a_velocity_that_is_not_known_weighs_nothing_for_whoever_goes_by_its_covariance():
+    told = odometry_message(OdometryEstimate(np.eye(4), 0.01 * np.eye(6)), 0, "odom", "lidar").twist
+    assert (told.twist.linear.x, told.twist.angular.z) == (0.0, 0.0)
+    assert told.covariance.reshape(6, 6).tolist() == (1e6 * np.eye(6)).tolist()

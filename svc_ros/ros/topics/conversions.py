@@ -10,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, Pose, PoseWithCovarianceStamped, Quaternion, Transform, TransformStamped, Vector3
 from nav_msgs.msg import Odometry
 from numpy.typing import ArrayLike
+from rclpy.node import Node
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
@@ -19,10 +20,14 @@ from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Array
 from svc_ros.core.se3 import make_pose
 from svc_ros.io.clouds.point_cloud2 import cloud_layout
+from svc_ros.io.config_yaml import NODE_NAME
 from svc_ros.io.results import UNKNOWN_COVARIANCE
 from svc_ros.io.stamps import seconds_and_rest
 from svc_ros.ros.streams.decision import OdometryEstimate
 
+# Of a velocity that is not known, (m/s)^2 and (rad/s)^2: whoever weighs by covariances takes nothing from it. Not
+# negative or infinite, which spoils filters that do not look.
+UNKNOWN_VELOCITY_COVARIANCE = 1e6 * np.eye(6)
 _FAULTS = (Reason.INTERNAL_ERROR, Reason.TF_UNAVAILABLE)
 
 
@@ -61,12 +66,12 @@ def plain_pose(T: Array) -> Pose:
 
 def odometry_message(estimate: OdometryEstimate, stamp_ns: int, odometry_frame: str, child_frame: str) -> Odometry:
     """Pose of the child frame in the odometry frame, with the covariance of its position and its turns about the
-    fixed axes; velocity in the child frame, all zero with an unknown covariance for the first scan."""
+    fixed axes; velocity in the child frame, for the first scan zeros with UNKNOWN_VELOCITY_COVARIANCE."""
     message = Odometry(header=header(stamp_ns, odometry_frame), child_frame_id=child_frame)
     message.pose.pose = plain_pose(estimate.T_odom_base)
     message.pose.covariance = _about_the_pose(estimate.covariance, estimate.T_odom_base).reshape(-1)
     if estimate.velocity is None or estimate.velocity_covariance is None:
-        message.twist.covariance = UNKNOWN_COVARIANCE.reshape(-1)
+        message.twist.covariance = UNKNOWN_VELOCITY_COVARIANCE.reshape(-1)
         return message
     linear, angular = estimate.velocity[:3].tolist(), estimate.velocity[3:].tolist()
     message.twist.twist.linear = Vector3(x=linear[0], y=linear[1], z=linear[2])
@@ -110,15 +115,20 @@ def cloud_message(
     )
 
 
+def status_name(node: Node) -> str:
+    """What a node's statuses are told under: its name, with its namespace, because several nodes tell on one topic."""
+    return str(node.get_fully_qualified_name().lstrip("/"))
+
+
 def decision_message(
-    result: RegistrationResult, values: Mapping[str, str], stamp_ns: int, frame_id: str
+    result: RegistrationResult, values: Mapping[str, str], stamp_ns: int, frame_id: str, node: str = NODE_NAME
 ) -> DiagnosticArray:
-    """One decision as one status: OK = accepted, ERROR = a fault of the system, WARN = everything else."""
+    """One decision as one status of `node`: OK = accepted, ERROR = a fault of the system, WARN = everything else."""
     status = DiagnosticStatus(
         level=_level(result),
-        name="svc_registration: decision",
+        name=f"{node}: decision",
         message=f"{result.verdict.value}: {result.reason.value}" + (f" ({result.detail})" if result.detail else ""),
-        hardware_id="svc_registration",
+        hardware_id=node,
         values=[KeyValue(key=key, value=value) for key, value in values.items()],
     )
     return DiagnosticArray(header=header(stamp_ns, frame_id), status=[status])

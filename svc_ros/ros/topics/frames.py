@@ -22,9 +22,11 @@ from svc_ros.core.se3 import make_pose
 from svc_ros.io.bags.writers import distinct_frames
 from svc_ros.io.stamps import text_from_ns
 from svc_ros.ros.parameters import NodeSettings
+from svc_ros.ros.streams.decision import named_side
+from svc_ros.ros.streams.worker import CloudLabel
 
 _NEEDS_TF2 = "{} needs tf2_ros (apt install ros-jazzy-tf2-ros-py){}"
-_LONG_AGO_NS = 1  # 0 would be the latest time; nothing that moves is known of so early a one
+_LONG_AGO_NS = 1  # no dynamic transform is kept so long; 0 would ask for the newest
 _NEEDS_TF2_MSGS = "{} needs tf2_msgs (apt install ros-jazzy-tf2-msgs)"
 
 
@@ -52,6 +54,22 @@ class Frames:
         if settings.sensor_frame in ("", cloud_frame):
             return np.array(settings.sensor_origin)
         return self.pose(cloud_frame, settings.sensor_frame, stamp_ns, settings.tf_timeout)[:3, 3]
+
+    def check_one_stamp(self, settings: NodeSettings, source: CloudLabel, target: CloudLabel) -> None:
+        """Refuse two scans with one stamp where the sensor moves in the frames of both: TF has one place for two.
+
+        One of the stamps is not the scan's own then. Raises TransformUnavailableError, also where TF has no place.
+        """
+        sides = {"source": source.frame_id, "target": target.frame_id}
+        if source.stamp_ns != target.stamp_ns or settings.sensor_frame in ("", *sides.values()):
+            return
+        if all(self._moves(settings, side, frame, source.stamp_ns) for side, frame in sides.items()):
+            frames = " and ".join(repr(frame) for frame in dict.fromkeys(sides.values()))
+            raise TransformUnavailableError(
+                f"expected a place of the sensor for each of two scans, found one: both have the stamp "
+                f"{text_from_ns(source.stamp_ns)} s and come in {frames}, where {settings.sensor_frame!r} moves; send "
+                "them in the sensor's frame, or in one that is fixed to it, such as the base's"
+            )
 
     def pose(self, target_frame: str, source_frame: str, stamp_ns: int, timeout_s: float) -> Array:
         """T_target_source (4, 4) by TF at a stamp, the identity within one frame.
@@ -89,6 +107,18 @@ class Frames:
         if self._listener is not None:
             self._listener.unregister()
         self._buffer = self._listener = None
+
+    def _moves(self, settings: NodeSettings, side: str, frame: str, stamp_ns: int) -> bool:
+        """True unless the sensor has always stood where it does now: only static transforms are known of all times."""
+        try:
+            now = self.sensor_origin(settings, frame, stamp_ns)
+        except TransformUnavailableError as error:
+            raise named_side(side, error) from error
+        try:
+            long_ago = self.pose(frame, settings.sensor_frame, _LONG_AGO_NS, 0.0)[:3, 3]
+        except TransformUnavailableError:
+            return True
+        return not np.allclose(now, long_ago)
 
     def _start_listening(self, wanted_by: str) -> None:
         try:

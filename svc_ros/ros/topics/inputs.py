@@ -11,22 +11,24 @@ from typing import Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
-from rclpy.event_handler import QoSMessageLostInfo, QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
+from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
-from svc_ros.core.errors import InputError
+from svc_ros.core.errors import ConfigError, InputError
 from svc_ros.io.clouds.point_cloud2 import CloudMessage
 from svc_ros.io.stamps import ns_from_stamp
 from svc_ros.pipeline.pairing import Event, Matched, Side, StampPairer
-from svc_ros.ros.diagnostics import Statistics
-from svc_ros.ros.middleware import cure
+from svc_ros.ros.diagnostics import InputMonitor, Statistics
 from svc_ros.ros.parameters import NodeParameters
 from svc_ros.ros.streams.worker import Cloud, DropJob, Job, PairJob, ScanJob
 from svc_ros.ros.topics.cloud_topic import CloudSource, CloudTopic
 from svc_ros.ros.topics.conversions import pose_from_message
+from svc_ros.ros.topics.input_watch import InputWatch
 from svc_ros.ros.topics.loss import LossMonitor
 from svc_ros.ros.topics.poses import PoseBuffer
 
@@ -60,10 +62,10 @@ class Inputs:
         self.odometry_child_frame = ""
         self._last_cloud_s = time.monotonic()
         self._last_stamp_ns = 0
-        self._told_losses: set[str] = set()
         self._subscriptions: list[Subscription] = []
         self._cloud_topics: list[CloudTopic] = []
         settings = parameters.settings
+        self.watch = InputWatch(node, statistics, settings.mode)
         names = CLOUD_INPUTS[settings.mode]
         for name in names:
             self._subscribe_clouds(name)
@@ -86,22 +88,16 @@ class Inputs:
         self.guesses.clear()
         self.odometry.clear()
 
-    def tell_losses(self) -> None:
-        """Say once for each topic that messages are lost, and what to do about it."""
-        for topic, loss in self._statistics.losses.items():
-            if topic not in self._told_losses and (lost := loss.warning(time.monotonic())):
-                self._told_losses.add(topic)
-                name = self._node.resolve_topic_name(topic)
-                self._node.get_logger().warning(f"{name}: {lost} before they reached this node; {cure()}")
+    def look(self) -> None:
+        """Tell what is wrong around the inputs, and take clouds as what is sent; to be called once a second."""
+        with self.lock:
+            self.watch.look(time.monotonic())
+        for topic in self._cloud_topics:
+            topic.look()
 
     def is_ahead_of(self, now_ns: int) -> bool:
         """True if the last cloud is of a time that has not come yet: the clock has jumped back."""
         return self._last_stamp_ns > now_ns
-
-    def look_at_types(self) -> None:
-        """See of which type the clouds are that are published; to be called now and then."""
-        for topic in self._cloud_topics:
-            topic.look()
 
     def destroy(self) -> None:
         """Give the subscriptions back."""
@@ -118,8 +114,10 @@ class Inputs:
             side: Side = "source" if name == "source" else "target"
             topic, take = f"{name}_points", functools.partial(self._on_cloud, side)
 
+        monitor = self._statistics.inputs[name]
+
         def subscribe(source: CloudSource) -> Subscription:
-            return self._subscribe(source.message_class, topic, source.callback, qos, source.is_raw)
+            return self._subscribe(source.message_class, topic, source.callback, qos, source.is_raw, monitor)
 
         self._cloud_topics.append(CloudTopic(self._node, topic, subscribe, take, self._statistics.type_problems))
 
@@ -127,11 +125,12 @@ class Inputs:
         self._subscriptions.append(self._subscribe(kind, topic, callback, qos))
 
     def _subscribe(
-        self, kind: Any, topic: str, callback: Callable[[Any], None], qos: QoSProfile, is_raw: bool = False
-    ) -> Subscription:
-        def on_incompatible(info: QoSRequestedIncompatibleQoSInfo) -> None:
-            self._statistics.qos_problems[topic] = f"{info.last_policy_kind} differs from the publisher's"
-            self._node.get_logger().error(f"{topic}: a publisher's QoS does not fit; see qos_overrides./{topic}")
+        self, kind: Any, topic: str, callback: Callable[[Any], None], qos: QoSProfile, is_raw: bool = False,
+        monitor: InputMonitor | None = None,
+    ) -> Subscription:  # fmt: skip
+        def on_incompatible(_info: object) -> None:
+            with self.lock:
+                self.watch.look(time.monotonic())
 
         loss = self._statistics.losses.setdefault(topic, LossMonitor())
         publishers = functools.partial(self._node.count_publishers, self._node.resolve_topic_name(topic))
@@ -144,16 +143,25 @@ class Inputs:
             loss.take(number if publishers() == 1 else None, time.monotonic())
             callback(message)
 
-        return self._node.create_subscription(
-            kind, topic, on_message, copy.copy(qos), raw=is_raw,  # rclpy writes overrides into the profile it is given
-            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=on_incompatible, message_lost=on_lost),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )  # fmt: skip
+        wanted = copy.copy(qos)  # rclpy writes what is overridden into the profile that it is given
+        try:
+            subscription = self._node.create_subscription(
+                kind, topic, on_message, wanted, raw=is_raw,
+                event_callbacks=SubscriptionEventCallbacks(incompatible_qos=on_incompatible, message_lost=on_lost),
+                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            )  # fmt: skip
+        except RCLError:
+            raise  # the middleware's, which may pass
+        except (RuntimeError, ParameterException) as error:
+            raise ConfigError(f"qos_overrides.{self._node.resolve_topic_name(topic)}: {error}") from None
+        self.watch.add(topic, wanted, monitor)
+        return subscription
 
     def _cloud(self, name: str, message: CloudMessage) -> Cloud:
         now = self._last_cloud_s = time.monotonic()
         self._statistics.inputs[name].tick(now)
         stamp_ns = self._last_stamp_ns = ns_from_stamp(message.header.stamp)
+        self.watch.stamped(stamp_ns)
         return Cloud(message, stamp_ns, now)
 
     def _on_scan(self, message: CloudMessage) -> None:

@@ -18,7 +18,7 @@ from svc_ros.ros.parameters import NodeSettings
 from svc_ros.ros.streams.decision import Decision
 from svc_ros.ros.streams.worker import CloudLabel
 from svc_ros.ros.topics.back_ends import EdgeOutput, edge_output
-from svc_ros.ros.topics.conversions import decision_message, pose_message, transform_message
+from svc_ros.ros.topics.conversions import decision_message, pose_message, status_name, transform_message
 from svc_ros.ros.topics.frames import Frames, TransformOutput
 from svc_ros.ros.topics.looks import LookOutputs
 from svc_ros.ros.topics.map_output import MapOutput
@@ -41,7 +41,7 @@ class Outputs:
     """
 
     def __init__(self, node: Node, settings: NodeSettings, frames: Frames, is_active: Callable[[], bool]) -> None:
-        self._node = node
+        self._node, self._name = node, status_name(node)
         self._tf = TransformOutput(node, "publish_tf") if settings.publish_tf else None
         self._map = MapOutput(node, settings, frames, is_active) if settings.map_frame else None
         self._edges: EdgeOutput | None = edge_output(node, settings.edges)
@@ -66,7 +66,7 @@ class Outputs:
         if self._edges is not None:
             self._edges.publish(decision)
         self._looks.publish(decision)
-        self._sender.put((Bool(data=not decision.result.accepted), _message(decision)))
+        self._sender.put((Bool(data=not decision.result.accepted), _message(decision, self._name)))
 
     def publish_path(self, settings: NodeSettings) -> None:
         """Send the way so far, in scan matching; from any thread."""
@@ -126,11 +126,11 @@ class Outputs:
         return not self._node.context.ok() or self._decision.wait_for_all_acked(_AT_ONCE)
 
 
-def _message(decision: Decision) -> DiagnosticArray:
+def _message(decision: Decision, node: str) -> DiagnosticArray:
     # A cloud without a partner: the message carries the stamp of the one there is.
     source, target = decision.source or decision.target, decision.target or decision.source
     stamp_ns, frame_id = (source.stamp_ns, target.frame_id) if source and target else (0, "")
-    return decision_message(decision.result, _values(decision), stamp_ns, frame_id)
+    return decision_message(decision.result, _values(decision), stamp_ns, frame_id, node)
 
 
 def _values(decision: Decision) -> dict[str, str]:
