@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import Counter, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -61,7 +61,7 @@ class Statistics:
         self.node = node
         self.inputs = {name: InputMonitor(is_needed) for name, is_needed in inputs.items()}
         self.qos_problems: dict[str, str] = {}
-        self.losses: dict[str, LossMonitor] = {}  # by topic, as the node names it
+        self.losses: defaultdict[str, LossMonitor] = defaultdict(LossMonitor)  # by topic, as the node names it
         self.type_problems: dict[str, str] = {}  # of a topic: what is sent on it and not taken, and what to do
         self.fault = ""
         self._lock = threading.Lock()

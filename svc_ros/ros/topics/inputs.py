@@ -29,7 +29,6 @@ from svc_ros.ros.streams.worker import Cloud, DropJob, Job, PairJob, ScanJob
 from svc_ros.ros.topics.cloud_topic import CloudSource, CloudTopic
 from svc_ros.ros.topics.conversions import pose_from_message
 from svc_ros.ros.topics.input_watch import InputWatch
-from svc_ros.ros.topics.loss import LossMonitor
 from svc_ros.ros.topics.poses import PoseBuffer
 
 _KEPT_GUESSES, _KEPT_ODOMETRY = 16, 1000
@@ -132,7 +131,7 @@ class Inputs:
             with self.lock:
                 self.watch.look(time.monotonic())
 
-        loss = self._statistics.losses.setdefault(topic, LossMonitor())
+        loss = self._statistics.losses[topic]
         publishers = functools.partial(self._node.count_publishers, self._node.resolve_topic_name(topic))
 
         def on_lost(info: QoSMessageLostInfo) -> None:
