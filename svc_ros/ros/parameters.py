@@ -27,6 +27,7 @@ MODES = ("pair", "scan_matching", "loop_closure")
 ODOMETRY = ("own", "topic", "tf")
 EDGES = ("none", "rtabmap", "pose_graph_tools")
 _FOREIGN = ("use_sim_time", "qos_overrides.", "start_type_description_service")  # declared by rclpy itself
+_LEAST_CAPACITY = 8
 _LARGEST_INT = 2**63 - 1
 
 
@@ -69,6 +70,14 @@ class NodeSettings:
     def max_skew_ns(self) -> int:
         """Largest difference of the stamps of a pair [ns]."""
         return round(self.max_skew * 1e9)
+
+    @property
+    def capacity(self) -> int:
+        """Pairs or scans that may wait; in loop closure for the worker, and as many for a thread that judges.
+
+        There a motion that is missing breaks the way and a loop is as good later, so more of them may wait.
+        """
+        return max(self.queue_size, _LEAST_CAPACITY) if self.mode == "loop_closure" else self.queue_size
 
 
 def _own(name: str, text: str, unit: str = "", low: float | None = None, high: float | None = None,

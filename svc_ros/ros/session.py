@@ -28,6 +28,7 @@ from svc_ros.ros.diagnostics import Statistics, statuses
 from svc_ros.ros.parameters import NodeParameters, NodeSettings
 from svc_ros.ros.streams.decision import Decision, Engine, labels
 from svc_ros.ros.streams.first_choice import FirstChoice
+from svc_ros.ros.streams.judges import Judges
 from svc_ros.ros.streams.loop_engine import LoopEngine
 from svc_ros.ros.streams.matching_engine import MatchingEngine
 from svc_ros.ros.streams.registrar import PairRegistrar
@@ -55,6 +56,7 @@ class Session:
         self.is_active, self.is_enabled = False, True
         # Several nodes tell on one topic: each under its name, with its namespace if it has one.
         self.statistics = Statistics(CLOUD_INPUTS[settings.mode], node.get_fully_qualified_name().lstrip("/"))
+        self.judges = Judges(self._finish)
         # What may need a package that is not there comes first: nothing is left behind then.
         self.engine: Engine = self._make_engine()
         self.frames = Frames(node, settings)
@@ -69,13 +71,15 @@ class Session:
         self.worker.start()
 
     def stop(self, timeout_s: float) -> bool:
-        """End the worker after its current job, answer what waits and write what is to be kept.
+        """End worker and judges after what they do now, answer what waits and write what is to be kept.
 
         False if it was still computing when the time was over.
         """
         self.is_active = False
         self.inputs.clear()
-        is_done = self.worker.stop(timeout_s)
+        end = time.monotonic() + timeout_s
+        self.judges.close("the node was stopped")
+        is_done = self.worker.stop(timeout_s) and self.judges.join(max(end - time.monotonic(), 0.0))
         self.outputs.finish(_FINISH_S)
         try:
             self.write_graph()
@@ -129,12 +133,12 @@ class Session:
 
     def deactivate(self, detail: str) -> None:
         """Give up what waits to be computed; what is computed now gets its decision."""
-        self.worker.jobs.give_up(Reason.INACTIVE, detail)
+        self._give_up(Reason.INACTIVE, detail)
 
     def forget_inputs(self, detail: str) -> None:
         """Empty pairing, queue, guesses and odometry; what waited is `stale`."""
         self.inputs.clear()
-        self.worker.jobs.give_up(Reason.STALE, detail)
+        self._give_up(Reason.STALE, detail)
 
     def call_on_worker(self, call: Callable[[], None]) -> None:
         """Let the worker call, between two jobs."""
@@ -155,6 +159,7 @@ class Session:
                 "enabled": self.is_enabled and self.is_active,
                 "queue": self.worker.jobs.num_waiting,
                 "queue_size": settings.queue_size,
+                "to_judge": self.judges.num_waiting,
                 **self.engine.numbers(),
             },
             "output": self.outputs.numbers(),
@@ -175,7 +180,7 @@ class Session:
             return MatchingEngine(sources.origin, sources.base, settings.odom_frame)
         if settings.mode == "loop_closure":
             graph_file = Path(settings.graph_file) if settings.graph_file else None
-            return LoopEngine(sources, settings.odometry == "own", graph_file)
+            return LoopEngine(sources, settings.odometry == "own", self.judges.wait, graph_file)
         return PairRegistrar(sources.origin, sources.guess)
 
     # on the executor's thread
@@ -185,7 +190,11 @@ class Session:
         if not isinstance(job, DropJob) and not (self.is_enabled and self.is_active):
             job = job.drop(Reason.INACTIVE, "the node is not active" if self.is_enabled else "the node is disabled")
         self.statistics.receive()
-        self.worker.jobs.put(job, None if settings.process_every else settings.queue_size)
+        self.worker.jobs.put(job, None if settings.process_every else settings.capacity)
+
+    def _give_up(self, reason: Reason, detail: str) -> None:
+        self.worker.jobs.give_up(reason, detail)
+        self.judges.give_up(reason, detail)
 
     def _check_change(self, parameters: list[Parameter]) -> SetParametersResult:
         """A frame that is set at work needs TF from now on; what the values mean is checked elsewhere."""
@@ -231,9 +240,15 @@ class Session:
         settings = self._parameters.settings
         try:
             self._first_choice.settle(job)
-            decisions = self.engine.process(job, self._parameters.config)
+            outcome = self.engine.process(job, self._parameters.config)
         except Exception as error:
-            decisions = [Decision(refused(error, self._parameters.config), *labels(job))]
+            outcome = [Decision(refused(error, self._parameters.config), *labels(job))]
+        self.judges.put(outcome, settings.capacity, settings.process_every)
+
+    # on the thread that has what is to be told next
+
+    def _finish(self, decisions: list[Decision]) -> None:
+        settings = self._parameters.settings
         self.statistics.finish(decisions)
         for decision in decisions:
             try:
