@@ -143,10 +143,15 @@ class LoopEngine:
 
     def _closer_for(self, job: ScanJob, config: Config) -> LoopCloser:
         """The one that the scan belongs to: a new one where the configuration is new or time begins anew."""
-        closer = self._closer
-        if closer is None or config != closer.config or self._order.is_jump(job.cloud.stamp_ns):
-            closer = self._begin(config)
-        return closer
+        if self._closer is None:
+            return self._begin(config)
+        if config != self._closer.config or self._order.is_jump(job.cloud.stamp_ns):
+            try:
+                self.reset()
+            except InputError:
+                _log.exception("keyframes and loops are forgotten unwritten")
+            return self._begin(config)
+        return self._closer
 
     def _propose(self, closer: LoopCloser, job: ScanJob) -> LoopQuestion | list[StreamDecision]:
         label = job.cloud.label
@@ -158,10 +163,6 @@ class LoopEngine:
             return [refuse_scan(label.stamp_ns, label.frame_id, error, closer.config)]
 
     def _begin(self, config: Config) -> LoopCloser:
-        try:
-            self.reset()
-        except InputError:
-            _log.exception("keyframes and loops are forgotten unwritten")
         self._odometry_of = odometry_by_matching(config) if self._own_odometry else self._sources.odometry
         self._closer = LoopCloser(config)
         return self._closer
