@@ -51,12 +51,12 @@ class Bench:
         self.judges = Judges(self.told.append, num_threads)
         self.engine = LoopEngine(Sources(), False, self.judges.wait, graph_file)
 
-    def walk(self, numbers=range(10), capacity=100, waits=False, config=CONFIG) -> None:
+    def walk(self, numbers=range(10), capacity=100, every=False, config=CONFIG) -> None:
         for k in numbers:
-            self.process(ScanJob(plain_cloud(SCANS[k], k * S)), capacity, waits, config)
+            self.process(ScanJob(plain_cloud(SCANS[k], k * S)), capacity, every, config)
 
-    def process(self, job, capacity=100, waits=False, config=CONFIG) -> None:
-        self.judges.put(self.engine.process(job, config), capacity, waits)
+    def process(self, job, capacity=100, every=False, config=CONFIG) -> None:
+        self.judges.put(self.engine.process(job, config), capacity, every)
 
     def decisions(self):
         """Source and target [s] and reason of what is told so far."""
@@ -91,7 +91,7 @@ def replayed():
 @pytest.mark.parametrize("num_threads", [1, 3])
 def test_the_node_decides_what_a_replay_decides_in_the_same_order(replayed, num_threads) -> None:
     bench = Bench(num_threads)
-    bench.walk(capacity=1, waits=True)
+    bench.walk(capacity=1, every=True)
     bench.judges.wait()
     assert len(bench.told) == len(SCANS)
     assert [len(job) for job in bench.told] == [len(decisions) for decisions in replayed]
@@ -124,14 +124,14 @@ def test_keyframes_that_cannot_be_judged_in_time_are_superseded_and_still_target
     bench.walk(range(6, 10), capacity=2)
     may_end.set()
     bench.judges.wait()
-    assert bench.decisions() == [
+    assert sorted(bench.decisions()) == [
         (5, 0, "ok"), (6, 6, "superseded"), (7, 7, "superseded"), (8, 1, "ok"), (9, 0, "ok")
     ]  # fmt: skip
     assert bench.engine.numbers() == {"keyframes": 10, "loops": 3}
-    assert [len(job) for job in bench.told] == [0] * 5 + [1] * 5
+    assert sorted(len(job) for job in bench.told) == [0] * 5 + [1] * 5
 
 
-def test_a_reset_waits_for_what_is_being_judged_and_writes_it(held, tmp_path) -> None:
+def test_a_reset_every_for_what_is_being_judged_and_writes_it(held, tmp_path) -> None:
     begun, may_end = held
     bench = Bench(num_threads=2, graph_file=tmp_path / "loops.g2o")
     bench.walk()
@@ -144,13 +144,13 @@ def test_a_reset_waits_for_what_is_being_judged_and_writes_it(held, tmp_path) ->
     assert reset.is_alive()
     may_end.set()
     reset.join(PATIENCE_S)
-    assert [reason for _, _, reason in bench.decisions()] == ["ok", "ok", "stale", "stale", "stale"]
+    assert [reason for _, _, reason in sorted(bench.decisions())] == ["ok", "ok", "stale", "stale", "stale"]
     assert bench.engine.numbers() == {"keyframes": 0, "loops": 0}
     assert len(read_g2o(tmp_path / "loops.g2o").edges) == len(WAY) - 1 + 2
 
 
 @pytest.mark.parametrize("change", ["time", "configuration"])
-def test_what_begins_anew_waits_for_the_loops_of_before(held, tmp_path, change) -> None:
+def test_what_begins_anew_every_for_the_loops_of_before(held, tmp_path, change) -> None:
     _, may_end = held
     bench = Bench(num_threads=2, graph_file=tmp_path / "loops.g2o")
     bench.walk()
@@ -174,7 +174,7 @@ def test_an_exception_while_judging_is_a_decision_and_the_others_go_on(monkeypat
     bench = Bench(num_threads=2)
     bench.walk()
     bench.judges.wait()
-    assert [(source, reason) for source, _, reason in bench.decisions()] == [
+    assert [(source, reason) for source, _, reason in sorted(bench.decisions())] == [
         (5, "ok"), (6, "internal_error"), (7, "ok"), (8, "ok"), (9, "ok")
     ]  # fmt: skip
 
@@ -188,8 +188,8 @@ def test_candidates_from_outside_keep_no_scan_waiting(held) -> None:
     assert bench.engine.numbers()["keyframes"] == 3
     may_end.set()
     bench.judges.wait()
-    assert bench.told[0][0].origin == "given"
     assert bench.decisions() == [(50, 50, "ok")]
+    assert bench.told[-1][0].origin == "given"
 
 
 def test_the_last_candidate_is_judged_again_while_others_are_judged() -> None:

@@ -1,4 +1,4 @@
-"""Threads that judge while the worker goes on; what they find is told in the order in which it was asked.
+"""Threads that judge while the worker goes on: every candidate in order for bags, the newest as they are done live.
 
 Plain Python, no rclpy.
 """
@@ -17,23 +17,22 @@ from svc_ros.core.result import Reason
 from svc_ros.ros.streams.decision import Decision, Judgement, Outcome
 
 _log = logging.getLogger(__name__)
-_MOST_THREADS = 4  # keyframes with candidates come once a second or so, and each thread builds large search structures
+# Two where there is one processor to spare: a candidate that is hard takes fifty times as long as an easy one, which
+# would wait for it. More than four would never have work, and each builds large search structures.
+_LEAST_THREADS, _MOST_THREADS = 2, 4
 
 
 @dataclass(eq=False)
 class _Place:
-    """One outcome in the line; a list of decisions is ready to be told."""
+    """One outcome in the line; a list of decisions is ready to be told, in turn or at once."""
 
     outcome: Outcome
+    is_in_turn: bool
     is_begun: bool = False
 
     @property
     def is_waiting(self) -> bool:
         return isinstance(self.outcome, Judgement) and not self.is_begun
-
-    @property
-    def is_ready(self) -> bool:
-        return not isinstance(self.outcome, Judgement)
 
     def drop(self, reason: Reason, detail: str) -> None:
         assert isinstance(self.outcome, Judgement)
@@ -41,30 +40,33 @@ class _Place:
 
 
 class Judges:
-    """Judges what is put in, several at once, and tells the decisions on each job in the order of `put`.
+    """Judges what is put in, several at once, and tells the decisions on each job.
 
     tell: gets the decisions of one job, by one thread at a time; what it raises is logged. num_threads: None for one
-    less than there are processors, since one has to keep up with the scans. They start with the first judgement.
+    less than there are processors, since one has to keep up with the scans, but from 2 to 4. They start with the first
+    judgement.
     """
 
     def __init__(self, tell: Callable[[list[Decision]], None], num_threads: int | None = None) -> None:
         self._tell = tell
-        self._num_threads = num_threads or min(max(num_processors() - 1, 1), _MOST_THREADS)
+        self._num_threads = num_threads or min(max(num_processors() - 1, _LEAST_THREADS), _MOST_THREADS)
         self._line: deque[_Place] = deque()  # what is not told yet
         self._changed = threading.Condition()
         self._telling = threading.Lock()
         self._why_closed: str | None = None
         self._threads: list[threading.Thread] = []
 
-    def put(self, outcome: Outcome, capacity: int, waits: bool) -> None:
+    def put(self, outcome: Outcome, capacity: int, every: bool) -> None:
         """Take the next outcome. At most `capacity` judgements wait for a thread.
 
-        waits: where there is no room, wait for it; else the oldest of them becomes `superseded` in its place.
+        every: where there is no room, wait for it, and tell the decisions after those of all that was put in before, so
+        that they do not depend on who is quickest. Otherwise the oldest that waits is `superseded`, and decisions are
+        told when they are made.
         """
         with self._changed:
-            if waits and isinstance(outcome, Judgement):
+            if every and isinstance(outcome, Judgement):
                 self._changed.wait_for(lambda: self._why_closed is not None or len(self._waiting()) < capacity)
-            self._line.append(_Place(outcome))
+            self._line.append(_Place(outcome, every))
             if self._why_closed is not None:
                 self._give_up(Reason.INACTIVE, self._why_closed)
             waiting = self._waiting()
@@ -122,9 +124,14 @@ class Judges:
             for thread in self._threads:
                 thread.start()
 
+    def _ready(self) -> tuple[_Place, list[Decision]] | None:
+        for number, place in enumerate(self._line):
+            if not isinstance(place.outcome, Judgement) and (number == 0 or not place.is_in_turn):
+                return place, place.outcome
+        return None
+
     def _has_work(self) -> bool:
-        is_first_ready = bool(self._line) and self._line[0].is_ready
-        return is_first_ready or bool(self._waiting()) or self._why_closed is not None
+        return self._ready() is not None or bool(self._waiting()) or self._why_closed is not None
 
     # on the threads
 
@@ -150,18 +157,17 @@ class Judges:
             place.outcome = decisions
 
     def _tell_what_is_ready(self) -> None:
-        """In order, so that what a bag leads to does not depend on who is quickest."""
         with self._telling:
-            while (decisions := self._first_if_ready()) is not None:
+            while (ready := self._next_to_tell()) is not None:
+                place, decisions = ready
                 try:
                     self._tell(decisions)
                 except Exception:
                     _log.exception("decisions could not be told")
                 with self._changed:
-                    self._line.popleft()
+                    self._line.remove(place)
                     self._changed.notify_all()
 
-    def _first_if_ready(self) -> list[Decision] | None:
+    def _next_to_tell(self) -> tuple[_Place, list[Decision]] | None:
         with self._changed:
-            first = self._line[0] if self._line else None
-            return None if first is None or isinstance(first.outcome, Judgement) else first.outcome
+            return self._ready()
