@@ -90,7 +90,7 @@ OWN: tuple[FieldInfo, ...] = (
     _own("mode", "what the node does with its inputs", choices=MODES),
     _own("max_skew", "largest difference of the stamps of a pair, and of a cloud and its odometry", "s", 0.0, 10.0),
     _own("pair_timeout", "clouds without a partner are given up after this much silence; 0: never", "s", 0.0, 3600.0),
-    _own("queue_size", "pairs or scans that may wait (loop closure: at least 8); the oldest gives way to the newest", "", 1, 10_000),
+    _own("queue_size", "pairs or scans that may wait (loops: 8 at least); the oldest gives way", "", 1, 10_000),
     _own("process_every", "compute every pair or scan, however long the queue grows (replay)"),
     _own("sensor_frame", "frame of the sensor, where clouds are in another; '': the cloud's own frame"),
     _own("sensor_origin", "where the sensor stands in the cloud's frame, if no TF says it", "m"),
