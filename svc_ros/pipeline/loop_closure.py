@@ -7,7 +7,7 @@ comes with it is verified, and if that is not accepted the two scans are registe
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +23,7 @@ from svc_ros.io.trajectories import Trajectory
 from svc_ros.pipeline.decide import refused, register_pair
 from svc_ros.pipeline.keyframes import Keyframe, KeyframeStore
 from svc_ros.pipeline.place import compare_places
-from svc_ros.pipeline.stream import StampOrder, StreamDecision, decide_in_order, demand
+from svc_ros.pipeline.stream import StampOrder, StreamDecision, answer_or_refuse, decide_in_order, demand
 
 Judge = Callable[[Keyframe, Keyframe, Array | None, Config], RegistrationResult]
 
@@ -37,8 +37,24 @@ class LoopCandidate:
     origin: str
 
 
+@dataclass(frozen=True, eq=False)
+class LoopQuestion:
+    """A new keyframe whose candidates are still to be judged, whatever becomes of the closer meanwhile.
+
+    candidates: at least one; others: the keyframes among which the look of the place is asked where none of the
+    candidates is accepted.
+    """
+
+    keyframe: Keyframe
+    candidates: tuple[LoopCandidate, ...]
+    others: tuple[Keyframe, ...]
+
+
 class LoopCloser:
-    """Keeps keyframes of one sensor and looks for loops among them; for one thread at a time.
+    """Keeps keyframes of one sensor and looks for loops among them.
+
+    `add` does it in one step. In two, one thread proposes, scan after scan, and others judge meanwhile: the decisions
+    on a scan depend on the scans before it and on no decision, so they are the same.
 
     judge: what decides on a candidate, `judge_candidate` where nothing else is given.
     """
@@ -78,26 +94,49 @@ class LoopCloser:
         T_odom_scan: (4, 4), where odometry says that the scan's frame stands; None where it says nothing. A scan that
         cannot be used is one decision that says why. Raises ConfigError and MissingDependencyError only.
         """
-        def close(scan: Scan) -> list[StreamDecision]:
-            return self._close(scan, None if T_odom_scan is None else se3.check_pose(T_odom_scan, "T_odom_scan"))
+        found = self.propose(scan, T_odom_scan)
+        return self.judge(found) if isinstance(found, LoopQuestion) else found
 
-        return decide_in_order(scan, self._order, self._config, self.reset, close)
+    def propose(self, scan: Scan, T_odom_scan: ArrayLike | None = None) -> LoopQuestion | list[StreamDecision]:
+        """The first half of `add`: what is to be judged; for one thread at a time.
 
-    def _close(self, scan: Scan, T_odom_scan: Array | None) -> list[StreamDecision]:
+        An empty list where there is nothing to judge, and one decision where the scan cannot be used.
+        """
+        def ask(scan: Scan) -> LoopQuestion | list[StreamDecision]:
+            return self._ask(scan, None if T_odom_scan is None else se3.check_pose(T_odom_scan, "T_odom_scan"))
+
+        return decide_in_order(scan, self._order, self._config, self.reset, ask)
+
+    def judge(self, question: LoopQuestion) -> list[StreamDecision]:
+        """The second half of `add`: the decisions, at least one. Safe from any thread, for several questions at once.
+
+        Raises ConfigError and MissingDependencyError only.
+        """
+        return answer_or_refuse(question.keyframe.scan, self._config, lambda: self._answer(question))
+
+    def _ask(self, scan: Scan, T_odom_scan: Array | None) -> LoopQuestion | list[StreamDecision]:
         # Only a scan that shows something new becomes a keyframe.
         if not self._is_new(T_odom_scan):
             return []
         this = Keyframe(prepare(scan, self._config), T_odom_scan, self._config)
-        # Where odometry leads to a loop it can be trusted; where it does not, the look of the place is asked.
-        near = self._near(this)
-        decisions = [self._judge(this, candidate) for candidate in near]
-        if not any(decision.result.accepted for decision in decisions):
-            known = [candidate.target for candidate in near]
-            decisions += [self._judge(this, candidate) for candidate in self._similar(this, known)]
-        this.forget_searches()
+        old = self._old_enough(this)
+        near = self._near(this, old)
+        candidates = near or self._similar(this, old)
         self._keyframes.add(this)
         if T_odom_scan is not None:
             self._poses[scan.stamp_ns] = T_odom_scan
+        if not candidates:
+            return []
+        known = [candidate.target for candidate in near]
+        others = [keyframe for keyframe in old if keyframe not in known] if near else []
+        return LoopQuestion(this, tuple(candidates), tuple(others))
+
+    def _answer(self, question: LoopQuestion) -> list[StreamDecision]:
+        with question.keyframe.lent() as this:
+            decisions = [self._judge(this, candidate) for candidate in question.candidates]
+            # Where odometry leads to a loop it can be trusted; where it does not, the look of the place is asked.
+            if not any(decision.result.accepted for decision in decisions):
+                decisions += [self._judge(this, candidate) for candidate in self._similar(this, question.others)]
         return decisions
 
     def _is_new(self, T_odom_scan: Array | None) -> bool:
@@ -113,11 +152,11 @@ class LoopCloser:
         gap_ns = round(1e9 * self._config.loop_closure.min_gap_s)
         return [k for k in self._keyframes if this.scan.stamp_ns - k.scan.stamp_ns >= gap_ns]
 
-    def _near(self, this: Keyframe) -> list[LoopCandidate]:
-        """The nearest old keyframes by odometry."""
+    def _near(self, this: Keyframe, old: Iterable[Keyframe]) -> list[LoopCandidate]:
+        """The nearest of those keyframes by odometry."""
         limits = self._config.loop_closure
         found: list[tuple[float, LoopCandidate]] = []
-        for keyframe in self._old_enough(this):
+        for keyframe in old:
             if this.T_odom_scan is None or keyframe.T_odom_scan is None:
                 continue
             T = se3.invert(keyframe.T_odom_scan) @ this.T_odom_scan
@@ -127,19 +166,19 @@ class LoopCloser:
         found.sort(key=lambda pair: pair[0])
         return [candidate for _, candidate in found[: limits.max_near]]
 
-    def _similar(self, this: Keyframe, known: list[Keyframe]) -> list[LoopCandidate]:
-        """The old keyframes whose places look most like this one, without those that are candidates already."""
+    def _similar(self, this: Keyframe, old: Iterable[Keyframe]) -> list[LoopCandidate]:
+        """Those of the keyframes whose places look most like this one."""
         limits = self._config.loop_closure
         if limits.max_similar == 0:
             return []
-        found = [(compare_places(this.look, k.look)[0], k) for k in self._old_enough(this) if k not in known]
+        found = [(compare_places(this.look, keyframe.look)[0], keyframe) for keyframe in old]
         found = sorted((pair for pair in found if pair[0] >= limits.min_similarity), key=lambda pair: -pair[0])
         return [LoopCandidate(keyframe, None, "place") for _, keyframe in found[: limits.max_similar]]
 
     def _judge(self, this: Keyframe, candidate: LoopCandidate) -> StreamDecision:
-        result = self._judge_candidate(this, candidate.target, candidate.T_target_source, self._config)
-        candidate.target.forget_searches()
-        source, target = this.scan, candidate.target.scan
+        with candidate.target.lent() as lent:
+            result = self._judge_candidate(this, lent, candidate.T_target_source, self._config)
+        source, target = this.scan, lent.scan
         return StreamDecision(
             result, source.stamp_ns, target.stamp_ns, source.frame_id, target.frame_id, this.T_odom_scan,
             candidate.origin, (source, target), candidate.target.T_odom_scan,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 from svc_ros.core.config import Config
 from svc_ros.core.errors import ConfigError, MissingDependencyError
@@ -12,6 +13,7 @@ from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Array, PreparedScan, Scan
 from svc_ros.pipeline.decide import dropped, refused
 
+Answer = TypeVar("Answer")
 _MAX_LATE_NS = 1_000_000_000  # no transport disorders scans by more; what is farther back is a jump in time
 
 
@@ -97,8 +99,8 @@ def decide_in_order(
     order: StampOrder,
     config: Config,
     reset: Callable[[], None],
-    decide: Callable[[Scan], list[StreamDecision]],
-) -> list[StreamDecision]:
+    decide: Callable[[Scan], Answer],
+) -> Answer | list[StreamDecision]:
     """Decide on a stream's next scan: after a reset where time starts anew, and not at all where it comes too late.
 
     A scan that cannot be used is one decision that says why. Raises ConfigError and MissingDependencyError only.
@@ -108,8 +110,18 @@ def decide_in_order(
     late = order.lateness(scan.stamp_ns)
     if late:
         return [drop_scan(scan.stamp_ns, scan.frame_id, Reason.STALE, late)]
+    return answer_or_refuse(scan, config, lambda: decide(scan))
+
+
+def answer_or_refuse(
+    scan: Scan | PreparedScan, config: Config, decide: Callable[[], Answer]
+) -> Answer | list[StreamDecision]:
+    """What `decide` returns, or what it raises as the one decision on the scan.
+
+    Raises ConfigError and MissingDependencyError only.
+    """
     try:
-        return decide(scan)
+        return decide()
     except (ConfigError, MissingDependencyError):
         raise
     except Exception as error:

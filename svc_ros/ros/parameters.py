@@ -31,6 +31,7 @@ _COVARIANCES = (
     "position_covariance", "orientation_covariance", "linear_velocity_covariance", "angular_velocity_covariance"
 )  # fmt: skip
 _FOREIGN = ("use_sim_time", "qos_overrides.", "start_type_description_service")  # declared by rclpy itself
+_LEAST_CAPACITY = 8
 _LARGEST_INT = 2**63 - 1
 
 
@@ -102,6 +103,14 @@ class NodeSettings:
         """Largest difference of the stamps of a pair [ns]."""
         return round(self.max_skew * 1e9)
 
+    @property
+    def capacity(self) -> int:
+        """Pairs or scans that may wait; in loop closure for the worker, and as many for a thread that judges.
+
+        There a motion that is missing breaks the way and a loop is as good later, so more of them may wait.
+        """
+        return max(self.queue_size, _LEAST_CAPACITY) if self.mode == "loop_closure" else self.queue_size
+
 
 def _own(name: str, text: str, unit: str = "", low: float | None = None, high: float | None = None,
          choices: tuple[str, ...] = ()) -> FieldInfo:  # fmt: skip
@@ -113,7 +122,7 @@ OWN: tuple[FieldInfo, ...] = (
     _own("mode", "what the node does with its inputs", choices=MODES),
     _own("max_skew", "largest difference of the stamps of a pair, and of a cloud and its odometry", "s", 0.0, 10.0),
     _own("pair_timeout", "clouds without a partner are given up after this much silence; 0: never", "s", 0.0, 3600.0),
-    _own("queue_size", "pairs or scans that may wait; the oldest gives way to the newest", "", 1, 10_000),
+    _own("queue_size", "pairs or scans that may wait (loops: 8 at least); the oldest gives way", "", 1, 10_000),
     _own("process_every", "compute every pair or scan, however long the queue grows (replay)"),
     _own("sensor_frame", "frame of the sensor, where clouds are in another; '': the cloud's own frame"),
     _own("sensor_origin", "where the sensor stands in the cloud's frame, if no TF says it", "m"),

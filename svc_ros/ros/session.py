@@ -9,7 +9,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import JumpThreshold, TimeJump
@@ -21,7 +20,6 @@ from rclpy.parameter import Parameter
 from svc_ros.core.compiling import told
 from svc_ros.core.errors import InputError, MissingDependencyError
 from svc_ros.core.result import Reason
-from svc_ros.core.scan import Array, Scan
 from svc_ros.io.places import check_place
 from svc_ros.pipeline.decide import refused
 from svc_ros.pipeline.scan_matching import ScanMatcher
@@ -29,6 +27,7 @@ from svc_ros.ros.diagnostics import Statistics, statuses
 from svc_ros.ros.parameters import NodeParameters, NodeSettings
 from svc_ros.ros.streams.decision import Decision, Engine, labels
 from svc_ros.ros.streams.first_choice import FirstChoice
+from svc_ros.ros.streams.judges import Judges
 from svc_ros.ros.streams.loop_engine import LoopEngine
 from svc_ros.ros.streams.matching_engine import MatchingEngine
 from svc_ros.ros.streams.registrar import PairRegistrar
@@ -37,6 +36,7 @@ from svc_ros.ros.topics.conversions import status_name
 from svc_ros.ros.topics.frames import Frames
 from svc_ros.ros.topics.inputs import CLOUD_INPUTS, Inputs
 from svc_ros.ros.topics.outputs import Outputs
+from svc_ros.ros.topics.sources import Sources
 
 # How soon Python asks the thread that computes to let the executor in. With its own 5 ms, a thread that lets go of the
 # interpreter for a moment every few milliseconds is never asked, and the executor waits for all of its work: 0.1 s.
@@ -57,11 +57,12 @@ class Session:
         settings = parameters.settings
         self.is_active, self.is_enabled = False, True
         self.statistics = Statistics(CLOUD_INPUTS[settings.mode], status_name(node))
+        self.judges = Judges(self._finish)
         # What may need a package that is not there comes first: nothing is left behind then.
         self.engine: Engine = self._make_engine()
         self.frames = Frames(node, settings)
         self.outputs = self._make_outputs(settings)
-        self._first_choice = FirstChoice(parameters, _Sources(self).origin, node.get_logger().info)
+        self._first_choice = FirstChoice(parameters, Sources(self, parameters).origin, node.get_logger().info)
         self.worker = Worker(self._process, self._warm_up)
         self.inputs = Inputs(node, parameters, self.statistics, self._take)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -71,13 +72,15 @@ class Session:
         self.worker.start()
 
     def stop(self, timeout_s: float) -> bool:
-        """End the worker after its current job, answer what waits and write what is to be kept.
+        """End worker and judges after what they do now, answer what waits and write what is to be kept.
 
         False if it was still computing when the time was over.
         """
         self.is_active = False
         self.inputs.clear()
-        is_done = self.worker.stop(timeout_s)
+        end = time.monotonic() + timeout_s
+        self.judges.close("the node was stopped")
+        is_done = self.worker.stop(timeout_s) and self.judges.join(max(end - time.monotonic(), 0.0))
         self.outputs.finish(_FINISH_S)
         try:
             self.write_graph()
@@ -133,12 +136,12 @@ class Session:
 
     def deactivate(self, detail: str) -> None:
         """Give up what waits to be computed; what is computed now gets its decision."""
-        self.worker.jobs.give_up(Reason.INACTIVE, detail)
+        self._give_up(Reason.INACTIVE, detail)
 
     def forget_inputs(self, detail: str) -> None:
         """Empty pairing, queue, guesses and odometry; what waited is `stale`."""
         self.inputs.clear()
-        self.worker.jobs.give_up(Reason.STALE, detail)
+        self._give_up(Reason.STALE, detail)
 
     def call_on_worker(self, call: Callable[[], None]) -> None:
         """Let the worker call, between two jobs."""
@@ -159,6 +162,7 @@ class Session:
                 "enabled": self.is_enabled and self.is_active,
                 "queue": self.worker.jobs.num_waiting,
                 "queue_size": settings.queue_size,
+                "to_judge": self.judges.num_waiting,
                 **self.engine.numbers(),
             },
             "output": self.outputs.numbers(),
@@ -172,7 +176,7 @@ class Session:
             raise
 
     def _make_engine(self) -> Engine:
-        settings, sources = self._parameters.settings, _Sources(self)
+        settings, sources = self._parameters.settings, Sources(self, self._parameters)
         if settings.mode == "scan_matching" or (settings.mode == "loop_closure" and settings.odometry == "own"):
             ScanMatcher(self._parameters.config)  # a package that is missing is said now, not with the first scan
         if settings.mode == "scan_matching":
@@ -181,7 +185,7 @@ class Session:
             graph_file = Path(settings.graph_file) if settings.graph_file else None
             if graph_file is not None:
                 check_place("graph_file", graph_file)
-            return LoopEngine(sources, settings.odometry == "own", graph_file)
+            return LoopEngine(sources, settings.odometry == "own", self.judges.wait, graph_file)
         return PairRegistrar(sources.origin, sources.guess)
 
     # on the executor's thread
@@ -191,7 +195,11 @@ class Session:
         if not isinstance(job, DropJob) and not (self.is_enabled and self.is_active):
             job = job.drop(Reason.INACTIVE, "the node is not active" if self.is_enabled else "the node is disabled")
         self.statistics.receive()
-        self.worker.jobs.put(job, None if settings.process_every else settings.queue_size)
+        self.worker.jobs.put(job, None if settings.process_every else settings.capacity)
+
+    def _give_up(self, reason: Reason, detail: str) -> None:
+        self.worker.jobs.give_up(reason, detail)
+        self.judges.give_up(reason, detail)
 
     def _check_change(self, parameters: list[Parameter]) -> SetParametersResult:
         """A frame that is set at work needs TF from now on; what the values mean is checked elsewhere."""
@@ -241,9 +249,15 @@ class Session:
             if isinstance(job, PairJob):
                 self.frames.check_one_stamp(settings, job.source.label, job.target.label)
             self._first_choice.settle(job)
-            decisions = self.engine.process(job, self._parameters.config)
+            outcome = self.engine.process(job, self._parameters.config)
         except Exception as error:
-            decisions = [Decision(refused(error, self._parameters.config), *labels(job))]
+            outcome = [Decision(refused(error, self._parameters.config), *labels(job))]
+        self.judges.put(outcome, settings.capacity, settings.process_every)
+
+    # on the thread that has what is to be told next
+
+    def _finish(self, decisions: list[Decision]) -> None:
+        settings = self._parameters.settings
         self.statistics.finish(decisions)
         for decision in decisions:
             try:
@@ -253,35 +267,3 @@ class Session:
                     raise
                 return  # shut down while this was computed: nobody listens any more
             self._node.get_logger().debug(f"{decision.result.verdict.value}: {decision.result.reason.value}")
-
-
-class _Sources:
-    """What engines ask for besides clouds: origins, guesses and odometry, with the parameters of the moment."""
-
-    def __init__(self, session: Session) -> None:
-        self._session, self._parameters = session, session._parameters
-        self.odometry_frame = self._parameters.settings.odom_frame
-
-    def origin(self, frame: str, stamp_ns: int) -> Array:
-        """Where the sensor stood in a cloud's frame."""
-        return self._session.frames.sensor_origin(self._parameters.settings, frame, stamp_ns)
-
-    def base(self, frame: str, stamp_ns: int) -> Array:
-        """T_base_cloud (4, 4); the identity where no base is asked for."""
-        settings = self._parameters.settings
-        if not settings.base_frame:
-            return np.eye(4)
-        return self._session.frames.pose(settings.base_frame, frame, stamp_ns, settings.tf_timeout)
-
-    def guess(self, stamp_ns: int) -> Array | None:
-        """The guess for a pair: the one nearest in time, if it is near enough."""
-        return self._session.inputs.guesses.nearest(stamp_ns, self._parameters.settings.max_skew_ns)
-
-    def odometry(self, scan: Scan) -> Array:
-        """T_odom_cloud (4, 4) as odometry from elsewhere has it; TransformUnavailableError where it has none."""
-        settings, inputs, frames = self._parameters.settings, self._session.inputs, self._session.frames
-        if settings.odometry == "tf":
-            return frames.pose(settings.odom_frame, scan.frame_id, scan.stamp_ns, settings.tf_timeout)
-        T_odom_child = inputs.odometry.at(scan.stamp_ns, settings.max_skew_ns, settings.tf_timeout)
-        child = inputs.odometry_child_frame or scan.frame_id
-        return T_odom_child @ frames.pose(child, scan.frame_id, scan.stamp_ns, settings.tf_timeout)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,12 +15,13 @@ from simulated_scans import Place, scan_at
 
 from svc_ros.core import se3
 from svc_ros.core.config import Config, preset, with_values
-from svc_ros.core.result import Reason, Verdict
+from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Scan
 from svc_ros.io.bags import Bag
 from svc_ros.io.datasets import read_dataset
+from svc_ros.io.results import result_to_json
 from svc_ros.io.trajectories import Trajectory, read_tum
-from svc_ros.pipeline.loop_closure import LoopCloser, judge_scans
+from svc_ros.pipeline.loop_closure import LoopCloser, LoopQuestion, judge_scans
 from svc_ros.pipeline.stream import StreamDecision
 
 S = 1_000_000_000
@@ -140,6 +143,51 @@ def test_a_guess_is_verified_and_a_wrong_one_replaced() -> None:
         assert se3.pose_error(result.T_target_source, T)[1] < 0.1
     assert judge_scans(source, target, np.zeros((4, 4)), CONFIG).reason is Reason.UNSUPPORTED_CLOUD
     assert judge_scans(Scan(np.ones((5, 3))), target, None, CONFIG).reason is Reason.TOO_FEW_POINTS
+
+
+def answer_of(decision: StreamDecision) -> str:
+    """All that is told of it but the time it took; numbers as they are, to the last bit."""
+    told = result_to_json(decision.result, source=decision.source_stamp_ns, target=decision.target_stamp_ns)
+    covariance = decision.result.covariance
+    bits = "" if covariance is None else covariance.tobytes().hex()
+    return json.dumps([{key: value for key, value in told.items() if key != "time_ms"}, decision.origin, bits])
+
+
+@pytest.mark.parametrize("with_odometry", [True, False])
+def test_judging_in_several_threads_gives_the_same_bits(with_odometry: bool) -> None:
+    """Of keyframes that several questions share as targets, and that are a source and a target at once."""
+    values = {"loop_closure.min_gap_s": 1.0, "loop_closure.max_near": 2, "loop_closure.max_similar": 2,
+              "loop_closure.min_probability": 0.995, "matching.more_descriptors": "fpfh_wide"}  # fmt: skip
+    config = with_values(CONFIG, values)
+    in_one_step = LoopCloser(config)
+    one_by_one = room_loops(in_one_step, with_odometry=with_odometry)
+    closer = LoopCloser(config)
+    proposed = [closer.propose(room_scan(k), T if with_odometry else None) for k, T in enumerate(OUT_AND_BACK)]
+    questions = [found for found in proposed if isinstance(found, LoopQuestion)]
+    with ThreadPoolExecutor(4) as pool:
+        at_once = list(pool.map(closer.judge, reversed(questions)))
+    assert [answer_of(d) for found in reversed(at_once) for d in found] == [answer_of(d) for d in one_by_one]
+    assert len(one_by_one) > len(questions) > 5
+    assert {d.result.verdict for d in one_by_one} >= {Verdict.UNDECIDED}
+    np.testing.assert_array_equal(closer.keyframe_poses.poses, in_one_step.keyframe_poses.poses)
+
+
+def test_what_is_proposed_is_judged_as_it_was_whatever_the_closer_does_meanwhile() -> None:
+    closer, wanted = LoopCloser(CONFIG), room_loops(LoopCloser(CONFIG))
+    questions = [closer.propose(room_scan(k), T) for k, T in enumerate(OUT_AND_BACK)]
+    closer.reset()
+    assert closer.num_keyframes == 0
+    judged = [d for question in questions if isinstance(question, LoopQuestion) for d in closer.judge(question)]
+    assert [answer_of(d) for d in judged] == [answer_of(d) for d in wanted]
+
+
+def test_an_exception_while_judging_is_a_decision() -> None:
+    def fail(*_: object) -> RegistrationResult:
+        raise RuntimeError("boom")
+
+    decisions = room_loops(LoopCloser(CONFIG, fail))
+    assert {d.result.reason for d in decisions} == {Reason.INTERNAL_ERROR}
+    assert [d.source_stamp_ns // S for d in decisions] == [5, 6, 7, 8, 9]
 
 
 def test_forced_candidates_between_different_streets_are_not_accepted(shared_data: Path) -> None:

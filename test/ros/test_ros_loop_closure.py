@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import time
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from mini_data import POSES, pose_between, scan_room, sensor_pose
 from nav_msgs.msg import Odometry
 from ros_bench import SECOND, StreamBench, cloud, recorded_clouds
 from std_srvs.srv import Trigger
-from yardstick import PATIENCE_S, assert_ends_within
+from yardstick import PATIENCE_S, Stopwatch, assert_ends_within
 
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.se3 import invert, pose_error
@@ -58,6 +60,13 @@ def candidate(decision) -> np.ndarray:
     return np.array(json.loads(decision["T_target_source"] or "null"))
 
 
+def assert_right(decision, reference) -> None:
+    source, target = (reference.at(ns_from_text(decision[f"{side}_stamp"]), SECOND) for side in ("source", "target"))
+    rotation_deg, translation_m = pose_error(candidate(decision), invert(target) @ source)
+    assert rotation_deg < MAX_DEGREES
+    assert translation_m < MAX_METRES
+
+
 @pytest.mark.parametrize(
     ("parts", "wanted"),
     [
@@ -90,18 +99,86 @@ def test_a_walk_back_to_earlier_places_has_right_loops_only(shared_data, tmp_pat
     accepted = [d for d in bench.answers.decisions if d["verdict"] == "accepted"]
     assert len(accepted) >= wanted, bench.answers.decisions
     for decision in accepted:
-        source, target = (
-            reference.at(ns_from_text(decision[f"{side}_stamp"]), SECOND) for side in ("source", "target")
-        )
-        rotation_deg, translation_m = pose_error(candidate(decision), invert(target) @ source)
-        assert rotation_deg < MAX_DEGREES
-        assert translation_m < MAX_METRES
+        assert_right(decision, reference)
         assert float(decision["source_stamp"]) - float(decision["target_stamp"]) > 20.0
     assert counts["worker"]["loops"] == len(accepted)
     assert sum(counts["decisions"].values()) == len(bench.answers.decisions)
     graph = read_g2o(graph_file)
     assert len(graph.poses) == counts["worker"]["keyframes"]
     assert len(graph.edges) == len(graph.poses) - 1 + len(accepted)
+
+
+class OwnTime:
+    """Time of the node [s] without what other programs had of the processors meanwhile; it is what a bag is played by.
+
+    On a machine that does nothing else it is that of a clock.
+    """
+
+    def __init__(self, watch) -> None:
+        self._watch, self._start = watch, time.monotonic()
+        self._clock_s, self._own_s = [0.0], [0.0]
+
+    def now_s(self) -> float:
+        self._watch.look()
+        elapsed = time.monotonic() - self._start
+        self._clock_s.append(elapsed)
+        self._own_s.append(max(elapsed - self._watch.others_so_far_s, self._own_s[-1]))
+        return self._own_s[-1]
+
+    def between(self, since: float, until: float) -> float:
+        """Own seconds between two times of the steady clock."""
+        before, after = np.interp([since - self._start, until - self._start], self._clock_s, self._own_s)
+        return float(after - before)
+
+
+def play_by_own_time(bench, clouds, rate_hz):
+    """When each stamp was published (steady clock), and the node's own time."""
+    published_s = {}
+    with Stopwatch(bench.process.pid) as watch:
+        own = OwnTime(watch)
+        for number, message in enumerate(clouds):
+            assert spin_until(bench.executor, lambda due=number / rate_hz: own.now_s() >= due, PATIENCE_S)
+            published_s[ns_from_stamp(message.header.stamp)] = time.monotonic()
+            bench.points.publish(message)
+        counts = {}
+
+        def is_done():
+            own.now_s()
+            counts.update(bench.status())
+            return counts["jobs"]["received"] == len(clouds) and counts["jobs"]["pending"] == 0
+
+        assert spin_until(bench.executor, is_done, PATIENCE_S), bench.process.output()
+        own.now_s()
+    print(f"played in {watch}, load {os.getloadavg()[0]:.1f}")
+    return published_s, own
+
+
+@pytest.mark.slow
+def test_a_walk_at_four_times_its_rate_is_followed_scan_by_scan_while_loops_are_judged(shared_data, tmp_path):
+    folder = shared_data / "bags" / "os0_64_walk"
+    reference, clouds = read_tum(folder / "reference_tum.txt"), recorded_clouds(folder / "ros2_mcap")
+    graph_file = tmp_path / "loops.g2o"
+    parameters = {"mode": "loop_closure", "preset": "lidar_indoor", "graph_file": str(graph_file)}
+    with StreamBench(tmp_path, own_domain_id(24), parameters) as bench:
+        published_s, own = play_by_own_time(bench, clouds, 4.0)
+        bench.settle()
+        counts, decisions = bench.status(), bench.answers.decisions
+        assert bench.process.stop() == 0
+    # No scan is lost: all were followed, and of none has a candidate been given up.
+    num_judged = len({d["source_stamp"] for d in decisions})
+    assert counts["jobs"] == {"received": len(clouds), "pending": 0, "without_candidate": len(clouds) - num_judged}
+    assert counts["decisions"]["dropped"] == 0
+    accepted = [d for d in decisions if d["verdict"] == "accepted"]
+    assert len(accepted) >= 25
+    for decision in accepted:
+        assert_right(decision, reference)
+    assert len(read_g2o(graph_file).edges) == counts["worker"]["keyframes"] - 1 + len(accepted)
+    latencies_s = []
+    for decision in decisions:
+        begin = published_s[ns_from_text(decision["source_stamp"])]
+        latencies_s.append(own.between(begin, begin + 1e-3 * float(decision["latency_ms"])))
+    print(f"latency p95 {counts['latency_ms']['p95']:.0f} ms, own {1e3 * np.percentile(latencies_s, 95):.0f} ms")
+    assert np.percentile(latencies_s, 95) < 1.5
 
 
 def test_a_cloud_without_odometry_says_so(tmp_path):

@@ -3,40 +3,24 @@
 from __future__ import annotations
 
 import threading
-import time
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from mini_data import POSES, pose_between, scan_room
+from plain_clouds import plain_cloud as cloud
+from plain_clouds import small_pair
 from yardstick import PATIENCE_S
 
 from svc_ros.core.config import preset
 from svc_ros.core.errors import TransformUnavailableError
 from svc_ros.core.result import Reason, Verdict
 from svc_ros.core.se3 import pose_error
-from svc_ros.io.clouds.point_cloud2 import cloud_layout
 from svc_ros.ros.streams import registrar as registrar_module
 from svc_ros.ros.streams.registrar import PairRegistrar, warm_up
-from svc_ros.ros.streams.worker import Cloud, DropJob, JobQueue, PairJob, Worker
+from svc_ros.ros.streams.worker import DropJob, JobQueue, PairJob, Worker
 
 CONFIG = preset("lidar_indoor")
 SCANS = [scan_room(T, seed=k) for k, T in enumerate(POSES)]
-
-
-def cloud(points, stamp_ns=0, frame="lidar"):
-    """A cloud as a plain object with the attributes of sensor_msgs/PointCloud2."""
-    layout = cloud_layout(points)
-    names = ("fields", "point_step", "row_step", "width", "height", "is_bigendian", "is_dense", "data")
-    stamp = SimpleNamespace(sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
-    message = SimpleNamespace(
-        header=SimpleNamespace(stamp=stamp, frame_id=frame), **{name: getattr(layout, name) for name in names}
-    )
-    return Cloud(message, stamp_ns, time.monotonic())
-
-
-def small_pair(stamp_ns):
-    return PairJob(cloud(np.ones((1, 3)), stamp_ns), cloud(np.ones((1, 3)), stamp_ns))
 
 
 def stamps_and_kinds(queue, count):

@@ -6,8 +6,9 @@ Each is a function that describes one scan (see `Descriptor`). It is imported wh
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Hashable
 from functools import lru_cache
-from typing import Protocol, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
 
@@ -58,6 +59,12 @@ def forget_trees(scan: PreparedScan) -> None:
     for _, description in kept.values():
         description.memo.clear()
     scan.memo.update(kept)
+
+
+def shared_descriptions(scan: PreparedScan) -> dict[Hashable, Any]:
+    """A memo with the descriptions that are kept with a scan, their own search structures still to be built."""
+    kept = ((key, value) for key, value in scan.memo.items() if isinstance(key, tuple) and key[0] == "description")
+    return {key: (config, dataclasses.replace(description, memo={})) for key, (config, description) in kept}
 
 
 def describe_by_wide_fpfh(scan: PreparedScan, config: Config) -> Description:

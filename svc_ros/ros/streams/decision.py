@@ -8,10 +8,11 @@ from typing import Any, Protocol
 
 from svc_ros.core.config import Config
 from svc_ros.core.errors import InputError, TransformUnavailableError
-from svc_ros.core.result import RegistrationResult
+from svc_ros.core.result import Reason, RegistrationResult
 from svc_ros.core.scan import Array, PreparedScan, Scan
 from svc_ros.io.clouds.point_cloud2 import scan_from_cloud
-from svc_ros.ros.streams.worker import Cloud, CloudLabel, DropJob, Job, PairJob
+from svc_ros.pipeline.decide import dropped, refused
+from svc_ros.ros.streams.worker import Cloud, CloudLabel, DropJob, Job, PairJob, ScanJob
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,11 +63,37 @@ class Decision:
     vertices: tuple[int, int] | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """A job that the worker is done with, and whose candidates are still to be judged.
+
+    judge: the decisions, at least one; called at most once, by any thread.
+    """
+
+    job: PairJob | ScanJob
+    config: Config
+    judge: Callable[[], list[Decision]]
+
+    def drop(self, reason: Reason, detail: str) -> list[Decision]:
+        """The one decision where nothing is judged."""
+        return [drop_decision(self.job.drop(reason, detail), self.config)]
+
+    def decide(self) -> list[Decision]:
+        """The decisions; what `judge` raises is one of them."""
+        try:
+            return self.judge()
+        except Exception as error:
+            return [Decision(refused(error, self.config), *labels(self.job))]
+
+
+Outcome = list[Decision] | Judgement
+
+
 class Engine(Protocol):
     """What a mode computes; belongs to the worker's thread, but for what is said to be safe."""
 
-    def process(self, job: Job, config: Config) -> list[Decision]:
-        """The decisions on one job; never raises."""
+    def process(self, job: Job, config: Config) -> Outcome:
+        """The decisions on one job, or what is still to be judged for them; never raises."""
         ...
 
     def warm_up(self, config: Config) -> None:
@@ -117,6 +144,11 @@ def labels(job: Job) -> tuple[CloudLabel | None, CloudLabel | None]:
     if isinstance(job, PairJob):
         return job.source.label, job.target.label
     return job.cloud.label, job.cloud.label
+
+
+def drop_decision(job: DropJob, config: Config) -> Decision:
+    """The decision on what was given up."""
+    return Decision(dropped(job.reason, job.detail, config.method), job.source, job.target)
 
 
 def received_s(job: Job) -> float | None:

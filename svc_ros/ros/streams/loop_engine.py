@@ -8,23 +8,34 @@ from __future__ import annotations
 import dataclasses
 import functools
 import logging
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from svc_ros.core.config import Config
 from svc_ros.core.errors import InputError, TransformUnavailableError
+from svc_ros.core.result import RegistrationResult
 from svc_ros.core.scan import Array, Scan
 from svc_ros.io.g2o import write_g2o
-from svc_ros.pipeline.decide import dropped, refused
-from svc_ros.pipeline.loop_closure import LoopCloser, judge_scans
+from svc_ros.pipeline.decide import refused
+from svc_ros.pipeline.loop_closure import LoopCloser, LoopQuestion, judge_scans
 from svc_ros.pipeline.pose_graph import build_pose_graph
 from svc_ros.pipeline.stream import StampOrder, StreamDecision, refuse_scan
 from svc_ros.replay.stream import odometry_by_matching
-from svc_ros.ros.streams.decision import CloudReader, Decision, labels, named_side
+from svc_ros.ros.streams.decision import (
+    CloudReader,
+    Decision,
+    Judgement,
+    Outcome,
+    drop_decision,
+    labels,
+    named_side,
+)
 from svc_ros.ros.streams.matching_engine import from_stream, judge_stream_again
 from svc_ros.ros.streams.registrar import made_up_scan, warm_up
 from svc_ros.ros.streams.worker import Cloud, DropJob, Job, PairJob, ScanJob
@@ -52,36 +63,45 @@ class LoopSources(Protocol):
 
 
 class LoopEngine:
-    """Looks for loops; a change of the configuration begins a new set of keyframes.
+    """Follows the sensor and says what is to be judged; a change of the configuration begins a new set of keyframes.
 
-    own_odometry: take the sensor's own motion (scan matching) instead of what `sources` say; graph_file: where to write
-    the pose graph when it is finished, None for nowhere.
+    Motion is followed here, so that no scan has to wait for candidates, which other threads judge.
+    own_odometry: take the sensor's own motion (scan matching) instead of what `sources` say; wait: returns when all
+    that was to be judged so far has its decision; graph_file: where to write the pose graph when it is finished, None
+    for nowhere.
     """
 
-    def __init__(self, sources: LoopSources, own_odometry: bool, graph_file: Path | None = None) -> None:
-        self._sources, self._own_odometry = sources, own_odometry
+    def __init__(
+        self, sources: LoopSources, own_odometry: bool, wait: Callable[[], None], graph_file: Path | None = None
+    ) -> None:
+        self._sources, self._own_odometry, self._wait = sources, own_odometry, wait
         self._reader, self._order = CloudReader(sources.origin), StampOrder()
         self._graph_file, self._num_graphs = graph_file, 0
         self._closer: LoopCloser | None = None
         self._odometry_of: OdometryOf = sources.odometry
+        self._found = threading.Lock()  # for the two that follow, which several threads write
         self._loops: list[StreamDecision] = []
         self._last: StreamDecision | None = None
 
-    def process(self, job: Job, config: Config) -> list[Decision]:
-        """One decision for each candidate that was judged; none for a scan without candidates. See Engine."""
+    def process(self, job: Job, config: Config) -> Outcome:
+        """A scan without candidates has no decision, others one for each candidate. See Engine."""
         if isinstance(job, DropJob):
-            return [Decision(dropped(job.reason, job.detail, config.method), job.source, job.target)]
+            return [drop_decision(job, config)]
         start = time.monotonic()
         if isinstance(job, PairJob):
-            return [self._judge_pair(job, config, start)]
-        found = self._close(job, config)
-        self._last = next((d for d in reversed(found) if d.scans is not None), self._last)
-        self._loops += [_edge_only(d) for d in found if d.result.accepted]
-        decisions = [from_stream(d, job, start, self._sources.odometry_frame, np.eye(4)) for d in found]
-        return [dataclasses.replace(d, vertices=self._vertices(d)) for d in decisions]
+            return self._open_pair(job, config, start)
+        closer = self._closer_for(job, config)
+        found = self._propose(closer, job)
+        if isinstance(found, LoopQuestion):
+            return Judgement(job, config, functools.partial(self._judge, closer, found, job, start))
+        return [from_stream(d, job, start, self._sources.odometry_frame, np.eye(4)) for d in found]
 
     def reset(self) -> None:
-        """Write the pose graph, and forget everything. Raises InputError if the file cannot be written."""
+        """Wait for what is being judged, write the pose graph, and forget everything.
+
+        Raises InputError if the file cannot be written.
+        """
+        self._wait()
         try:
             self.write_graph()
         finally:
@@ -99,7 +119,7 @@ class LoopEngine:
         return judge_stream_again(self._last, config)
 
     def numbers(self) -> dict[str, Any]:
-        """Keyframes that are kept, and accepted loops."""
+        """Keyframes that are kept, and accepted loops so far."""
         closer = self._closer
         return {"keyframes": closer.num_keyframes if closer is not None else 0, "loops": len(self._loops)}
 
@@ -108,65 +128,87 @@ class LoopEngine:
 
         Graphs of later resets get a number of their own. Safe from any thread. Raises InputError.
         """
-        closer, loops = self._closer, tuple(self._loops)
+        closer, loops = self._closer, list(self._loops)
         if self._graph_file is None or closer is None:
             return None
         keyframes = closer.keyframe_poses
         if len(keyframes) == 0:
             return None
         known = set(keyframes.stamps_ns.tolist())
+        loops.sort(key=lambda loop: loop.source_stamp_ns)  # several threads found them
         between = [d for d in loops if {d.source_stamp_ns, d.target_stamp_ns} <= known]
         path = _numbered(self._graph_file, self._num_graphs)
         write_g2o(path, build_pose_graph(keyframes, between, closer.config.covariance))
         return path
 
-    def _close(self, job: ScanJob, config: Config) -> list[StreamDecision]:
+    def _closer_for(self, job: ScanJob, config: Config) -> LoopCloser:
+        """The one that the scan belongs to: a new one where the configuration is new or time begins anew."""
+        if self._closer is None:
+            return self._begin(config)
+        if config != self._closer.config or self._order.is_jump(job.cloud.stamp_ns):
+            try:
+                self.reset()
+            except InputError:
+                _log.exception("keyframes and loops are forgotten unwritten")
+            return self._begin(config)
+        return self._closer
+
+    def _propose(self, closer: LoopCloser, job: ScanJob) -> LoopQuestion | list[StreamDecision]:
         label = job.cloud.label
-        if self._closer is None or config != self._closer.config or self._order.is_jump(label.stamp_ns):
-            self._begin(config)
-        assert self._closer is not None
         try:
             scan = self._reader.scan(job.cloud)
             self._order.lateness(label.stamp_ns)
-            return self._closer.add(scan, self._odometry_of(scan))
+            return closer.propose(scan, self._odometry_of(scan))
         except Exception as error:
-            return [refuse_scan(label.stamp_ns, label.frame_id, error, config)]
+            return [refuse_scan(label.stamp_ns, label.frame_id, error, closer.config)]
 
-    def _begin(self, config: Config) -> None:
-        try:
-            self.reset()
-        except InputError:
-            _log.exception("keyframes and loops are forgotten unwritten")
-        self._closer = LoopCloser(config)
+    def _begin(self, config: Config) -> LoopCloser:
         self._odometry_of = odometry_by_matching(config) if self._own_odometry else self._sources.odometry
+        self._closer = LoopCloser(config)
+        return self._closer
 
-    def _vertices(self, decision: Decision) -> tuple[int, int] | None:
-        """Numbers of source and target in the pose graph; None for scans that are not in it."""
-        assert self._closer is not None
-        keyframes = self._closer.keyframe_poses.stamps_ns
-        ends = [label.stamp_ns for label in (decision.source, decision.target) if label is not None]
-        if len(ends) != 2 or not np.isin(ends, keyframes).all():
-            return None
-        source, target = np.searchsorted(keyframes, ends).tolist()
-        return source, target
-
-    def _judge_pair(self, job: PairJob, config: Config, start_s: float) -> Decision:
+    def _open_pair(self, job: PairJob, config: Config, start_s: float) -> Outcome:
         """A candidate that somebody else proposes."""
-        came = max(job.source.received_s, job.target.received_s)
-        timings = {"queue_ms": 1e3 * (start_s - came)}
         try:
             source, target = self._scan("source", job.source), self._scan("target", job.target)
-            result = judge_scans(source, target, self._sources.guess(job.source.stamp_ns), config)
+            guess = self._sources.guess(job.source.stamp_ns)
         except Exception as error:
-            result = refused(error, config)
-        timings["latency_ms"] = 1e3 * (time.monotonic() - came)
-        return Decision(result, *labels(job), timings, origin="given")
+            return [_given(job, refused(error, config), start_s)]
+        return Judgement(job, config, lambda: [_given(job, judge_scans(source, target, guess, config), start_s)])
 
     def _scan(self, side: str, cloud: Cloud) -> Scan:
         try:
             return self._reader.scan(cloud)
         except (InputError, TransformUnavailableError) as error:
             raise named_side(side, error) from error
+
+    # on the threads that judge
+
+    def _judge(self, closer: LoopCloser, question: LoopQuestion, job: ScanJob, start_s: float) -> list[Decision]:
+        found = closer.judge(question)
+        with self._found:
+            self._loops += [_edge_only(d) for d in found if d.result.accepted]
+            last = next((d for d in reversed(found) if d.scans is not None), None)
+            if last is not None and (self._last is None or last.source_stamp_ns > self._last.source_stamp_ns):
+                self._last = last
+        decisions = [from_stream(d, job, start_s, self._sources.odometry_frame, np.eye(4)) for d in found]
+        keyframes = closer.keyframe_poses.stamps_ns
+        return [dataclasses.replace(d, vertices=_vertices(d, keyframes)) for d in decisions]
+
+
+def _given(job: PairJob, result: RegistrationResult, start_s: float) -> Decision:
+    came = max(job.source.received_s, job.target.received_s)
+    timings = {"queue_ms": 1e3 * (start_s - came), "latency_ms": 1e3 * (time.monotonic() - came)}
+    return Decision(result, *labels(job), timings, origin="given")
+
+
+def _vertices(decision: Decision, keyframes_ns: NDArray[np.int64]) -> tuple[int, int] | None:
+    """Numbers of source and target in the pose graph; None for scans that are not in it."""
+    ends = [label.stamp_ns for label in (decision.source, decision.target) if label is not None]
+    if len(ends) != 2 or not np.isin(ends, keyframes_ns).all():
+        return None
+    source, target = np.searchsorted(keyframes_ns, ends).tolist()
+    return source, target
 
 
 def _edge_only(loop: StreamDecision) -> StreamDecision:

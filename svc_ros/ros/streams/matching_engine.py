@@ -15,10 +15,9 @@ from svc_ros.core.errors import InputError
 from svc_ros.core.registration import verify
 from svc_ros.core.scan import Array, Scan
 from svc_ros.io.results import result_to_json
-from svc_ros.pipeline.decide import dropped
 from svc_ros.pipeline.scan_matching import ScanMatcher
 from svc_ros.pipeline.stream import StreamDecision, refuse_scan
-from svc_ros.ros.streams.decision import CloudReader, Decision, Look
+from svc_ros.ros.streams.decision import CloudReader, Decision, Look, drop_decision
 from svc_ros.ros.streams.odometry_track import OdometryTrack
 from svc_ros.ros.streams.registrar import made_up_scan, warm_up
 from svc_ros.ros.streams.worker import CloudLabel, DropJob, Job, PairJob, ScanJob
@@ -43,7 +42,7 @@ class MatchingEngine:
     def process(self, job: Job, config: Config) -> list[Decision]:
         """The one decision on one scan; see Engine."""
         if isinstance(job, DropJob):
-            return [Decision(dropped(job.reason, job.detail, config.method), job.source, job.target)]
+            return [drop_decision(job, config)]
         assert not isinstance(job, PairJob)
         start = time.monotonic()
         decision, T_base_cloud = self._decide(job, config)

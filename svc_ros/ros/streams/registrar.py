@@ -18,8 +18,8 @@ from svc_ros.core.registration import extract_features, verify
 from svc_ros.core.result import RegistrationResult
 from svc_ros.core.scan import Array, Features, Scan
 from svc_ros.io.results import result_to_json
-from svc_ros.pipeline.decide import dropped, refused, register_pair
-from svc_ros.ros.streams.decision import CloudReader, Decision, Look, labels, named_side, received_s
+from svc_ros.pipeline.decide import refused, register_pair
+from svc_ros.ros.streams.decision import CloudReader, Decision, Look, drop_decision, labels, named_side, received_s
 from svc_ros.ros.streams.worker import Cloud, DropJob, Job, PairJob, ScanJob
 
 _CACHED_SCANS = 3  # both of the last pair, and one that is on its way
@@ -64,7 +64,7 @@ class PairRegistrar:
     def decide(self, job: Job, config: Config) -> Decision:
         """The decision on one job; never raises."""
         if isinstance(job, DropJob):
-            return Decision(dropped(job.reason, job.detail, config.method), job.source, job.target)
+            return drop_decision(job, config)
         start, came = time.monotonic(), received_s(job)
         assert came is not None
         assert not isinstance(job, ScanJob)

@@ -31,7 +31,7 @@ _DEPTH = QoSProfile(depth=2)
 
 
 class LookOutputs:
-    """Publishes `~/aligned`, `~/blocked_points` and `~/sight_lines`; belongs to the worker's thread."""
+    """Publishes `~/aligned`, `~/blocked_points` and `~/sight_lines`, for one thread at a time."""
 
     def __init__(self, node: Node) -> None:
         self._node = node

@@ -33,7 +33,7 @@ _AT_ONCE = Duration(seconds=0)  # rclpy waits with Python's lock in its hand: an
 
 
 class Outputs:
-    """Publishes decisions; belongs to the worker's thread. What every pair has goes out on a thread of its own: see
+    """Publishes decisions, for one thread at a time. What every pair has goes out on a thread of its own: see
     PacedSender.
 
     Raises MissingDependencyError for /tf without tf2_msgs, and for a back end whose messages are not installed.

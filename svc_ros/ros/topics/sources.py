@@ -1,0 +1,51 @@
+"""What engines ask for besides clouds, answered from parameters, TF and the inputs."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from svc_ros.core.scan import Array, Scan
+from svc_ros.ros.parameters import NodeParameters
+from svc_ros.ros.topics.frames import Frames
+from svc_ros.ros.topics.inputs import Inputs
+
+
+class Parts(Protocol):
+    """Who has the frames and the inputs; both may be made after the engine that asks."""
+
+    frames: Frames
+    inputs: Inputs
+
+
+class Sources:
+    """What engines ask for besides clouds: origins, guesses and odometry, with the parameters of the moment."""
+
+    def __init__(self, session: Parts, parameters: NodeParameters) -> None:
+        self._session, self._parameters = session, parameters
+        self.odometry_frame = self._parameters.settings.odom_frame
+
+    def origin(self, frame: str, stamp_ns: int) -> Array:
+        """Where the sensor stood in a cloud's frame."""
+        return self._session.frames.sensor_origin(self._parameters.settings, frame, stamp_ns)
+
+    def base(self, frame: str, stamp_ns: int) -> Array:
+        """T_base_cloud (4, 4); the identity where no base is asked for."""
+        settings = self._parameters.settings
+        if not settings.base_frame:
+            return np.eye(4)
+        return self._session.frames.pose(settings.base_frame, frame, stamp_ns, settings.tf_timeout)
+
+    def guess(self, stamp_ns: int) -> Array | None:
+        """The guess for a pair: the one nearest in time, if it is near enough."""
+        return self._session.inputs.guesses.nearest(stamp_ns, self._parameters.settings.max_skew_ns)
+
+    def odometry(self, scan: Scan) -> Array:
+        """T_odom_cloud (4, 4) as odometry from elsewhere has it; TransformUnavailableError where it has none."""
+        settings, inputs, frames = self._parameters.settings, self._session.inputs, self._session.frames
+        if settings.odometry == "tf":
+            return frames.pose(settings.odom_frame, scan.frame_id, scan.stamp_ns, settings.tf_timeout)
+        T_odom_child = inputs.odometry.at(scan.stamp_ns, settings.max_skew_ns, settings.tf_timeout)
+        child = inputs.odometry_child_frame or scan.frame_id
+        return T_odom_child @ frames.pose(child, scan.frame_id, scan.stamp_ns, settings.tf_timeout)
