@@ -203,3 +203,34 @@ def test_the_last_candidate_is_judged_again_while_others_are_judged() -> None:
     bench.judges.wait()
     again = bench.engine.judge_again(CONFIG)
     assert (again["verdict"], again["source_stamp_ns"]) == ("accepted", 9 * S)
+
+
+def test_at_every_moment_each_scan_is_pending_without_candidate_or_decided(held) -> None:
+    pytest.importorskip("diagnostic_msgs", reason="needs rclpy (pip install svc_ros[ros])")
+    from svc_ros.ros.diagnostics import Statistics
+
+    begun, may_end = held
+    statistics = Statistics({"points": True})
+    bench = Bench(num_threads=1)
+    bench.judges = Judges(statistics.finish, 1)
+
+    def counts() -> tuple[int, int, int]:
+        numbers = statistics.numbers()
+        jobs, decided = numbers["jobs"], sum(numbers["decisions"].values())
+        assert jobs["received"] == jobs["pending"] + jobs["without_candidate"] + decided
+        return jobs["pending"], jobs["without_candidate"], decided
+
+    for k in range(6):
+        statistics.receive()
+        bench.walk([k])
+    assert begun.acquire(timeout=PATIENCE_S)
+    assert counts() == (1, 5, 0)
+    for k in range(6, 10):
+        statistics.receive()
+        bench.walk([k], capacity=2)
+    assert counts() == (3, 5, 2)
+    bench.judges.give_up(Reason.INACTIVE, "the node was disabled")
+    may_end.set()
+    bench.judges.wait()
+    assert counts() == (0, 5, 5)
+    assert statistics.numbers()["reasons"] == {"superseded": 2, "inactive": 2, "ok": 1}

@@ -194,6 +194,6 @@ def test_big_clouds_that_come_fast_leave_the_executor_alive(host, mode):
         assert counts["jobs"]["received"] == (
             counts["jobs"]["pending"] + counts["jobs"]["without_candidate"] + sum(counts["decisions"].values())
         )
-        assert counts["worker"]["queue"] <= 1
+        assert counts["worker"]["queue"] <= (8 if mode == "loop_closure" else 1)
     assert np.median(answers) < 1.0
     assert counts["received"][names[0].partition("_")[0]] >= 10
