@@ -10,6 +10,7 @@ from launch_ros.actions import Node
 
 from svc_ros.ros.discovery.inputs import find_live, full_name
 from svc_ros.ros.launch_arguments import MODE, MODES, NODE_NAME, describe, given_values
+from svc_ros.ros.middleware import profile_environment
 
 ARGUMENTS = {
     "mode": MODE,
@@ -91,5 +92,6 @@ def rviz(given):
         namespace=given["namespace"],
         arguments=["-d", str(RVIZ_CONFIG), "-f", given["fixed_frame"] or given["odom_frame"]],
         parameters=[{"use_sim_time": given["use_sim_time"] == "true"}],
+        additional_env=profile_environment(),  # who listens to the same clouds
         remappings=[*own, ("/target_points", given["target"]), ("/points", given["points"])],
     )

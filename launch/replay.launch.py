@@ -12,6 +12,7 @@ from launch_ros.actions import Node
 
 from svc_ros.ros.discovery.inputs import find_in_bag
 from svc_ros.ros.launch_arguments import MODE, MODES, NODE_NAME, describe, given_values
+from svc_ros.ros.middleware import profile_environment
 
 ARGUMENTS = {
     "bag": (None, "the bag"),
@@ -41,7 +42,8 @@ def start(context):
         found, said = find_in_bag({**given, **{name: value.perform(context) for name, value in of_node}})
         node = IncludeLaunchDescription(source, launch_arguments=node_arguments(given, found).items())
         told = [LogInfo(msg=f"found: {line}") for line in said]
-        return [*told, node, ExecuteProcess(cmd=ros2_command(given), output="screen")]
+        player = ExecuteProcess(cmd=ros2_command(given), output="screen", additional_env=profile_environment())
+        return [*told, node, player]
     node = IncludeLaunchDescription(source, launch_arguments=node_arguments(given, {}).items())
     namespace = LaunchConfiguration("namespace", default="").perform(context).strip("/")
     words = player_words(given, f"/{namespace}/{NODE_NAME}" if namespace else f"/{NODE_NAME}")

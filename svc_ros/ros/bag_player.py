@@ -28,7 +28,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from svc_ros.core.errors import InputError, SvcError
 from svc_ros.io.stamps import ns_from_stamp
 from svc_ros.ros.collector import DecisionCollector, spin_until
-from svc_ros.ros.middleware import with_profile
+from svc_ros.ros.middleware import profile_environment
 from svc_ros.ros.topics.conversions import header
 
 _DECISION_TIMEOUT_S = 60.0
@@ -99,7 +99,7 @@ class CloudPlayer:
 def main(args: list[str] | None = None) -> int:
     """Play a bag. Exit code 0 when all was played, 1 without subscribers or decisions, 2 on bad input."""
     options = _parser().parse_args(remove_ros_args(args)[1:] if args is None else remove_ros_args(args))
-    os.environ.update(with_profile())
+    os.environ.update(profile_environment())
     rclpy.init(args=args)
     try:
         return _play(options)

@@ -39,7 +39,7 @@ from svc_ros.ros.judgement import (
     record_of,
     verdict_on,
 )
-from svc_ros.ros.middleware import with_profile
+from svc_ros.ros.middleware import profile_environment
 from svc_ros.ros.processes import ChildProcess, local_environment, own_domain_id
 from svc_ros.simulation import DriveConfig, simulate_drive
 
@@ -113,7 +113,7 @@ def _simulate(folder: Path, num_scans: int, console: Console) -> tuple[Path, lis
 def _play(bag: Path, num_pairs: int, out: Path, on_decision: Callable[[int], None]) -> Answers:
     """Node and player as children, this process as the listener; returns what the node answered."""
     domain_id = own_domain_id()
-    environment = with_profile(local_environment(domain_id))
+    environment = local_environment(domain_id) | profile_environment()
     os.environ.update(environment)
     parameters = [part for name, value in _NODE_PARAMETERS.items() for part in ("-p", f"{name}:={value}")]
     player_args = [str(bag), "--stride", str(STRIDE), "--rate", "0", "--wait-decisions", "--wait-for-subscribers", "60"]

@@ -38,13 +38,13 @@ def is_set_by_user(environment: Mapping[str, str] = os.environ) -> bool:
     return has_file or any(environment.get(name) for name in _CHOICES)
 
 
-def with_profile(environment: Mapping[str, str] = os.environ) -> dict[str, str]:
-    """The environment for programs that send clouds, and for who listens to them: with the shipped profile.
+def profile_environment(environment: Mapping[str, str] = os.environ) -> dict[str, str]:
+    """What is to be added to the environment of programs that send clouds, and of who listens to those.
 
-    What the user has set stays.
+    The shipped profile; nothing where the user has chosen.
     """
     is_wanted = profile_path().is_file() and not is_set_by_user(environment)
-    return {**environment, **({PROFILE_VARIABLE: str(profile_path())} if is_wanted else {})}
+    return {PROFILE_VARIABLE: str(profile_path())} if is_wanted else {}
 
 
 @contextlib.contextmanager

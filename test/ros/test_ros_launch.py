@@ -17,6 +17,7 @@ from yardstick import PATIENCE_S
 
 from svc_ros.core.config import AUTO, METHODS, PRESETS, preset, walk
 from svc_ros.core.errors import ConfigError
+from svc_ros.ros.middleware import PROFILE_VARIABLE
 
 REGISTRATION = PROJECT_ROOT / "launch" / "registration.launch.py"
 REPLAY = PROJECT_ROOT / "launch" / "replay.launch.py"
@@ -167,6 +168,17 @@ def test_replay_by_ros2_goes_by_the_clock_of_the_bag(replay, registration):
     assert (given["use_sim_time"], given["points"]) == ("true", "/lidar")
     assert "reliable" not in given
     assert player.options["cmd"] == ["ros2", "bag", "play", "drive", "--clock", "--rate", "2.0"]
+
+
+def test_who_sends_or_shows_clouds_has_the_shipped_profile_unless_another_is_set(replay, registration, monkeypatch):
+    for name in (PROFILE_VARIABLE, "FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS"):
+        monkeypatch.delenv(name, raising=False)
+    shipped = {PROFILE_VARIABLE: str(PROJECT_ROOT / "config" / "fastdds_large_clouds.xml")}
+    for wanted in (shipped, {}):
+        _, player = started(replay, bag="drive", player="ros2")
+        _, rviz = started(registration, rviz="true")
+        assert player.options["additional_env"] == rviz.options["additional_env"] == wanted
+        monkeypatch.setenv(PROFILE_VARIABLE, "/mine.xml")
 
 
 def test_replay_includes_the_file_beside_it(replay):

@@ -75,7 +75,7 @@ def test_transports_that_the_user_has_chosen_are_left_alone(monkeypatch, name):
     with receiving_transports() as is_ours:
         assert not is_ours
         assert os.environ[name] == "/somewhere.xml"
-    assert middleware.with_profile() == dict(os.environ)
+    assert middleware.profile_environment() == {}
 
 
 def test_a_profile_in_the_working_directory_is_a_choice_too(monkeypatch, tmp_path):
@@ -88,7 +88,7 @@ def test_a_profile_in_the_working_directory_is_a_choice_too(monkeypatch, tmp_pat
 
 
 def test_who_sends_gets_the_shipped_profile():
-    assert middleware.with_profile({"A": "b"}) == {"A": "b", PROFILE_VARIABLE: str(profile_path())}
+    assert middleware.profile_environment({"A": "b"}) == {PROFILE_VARIABLE: str(profile_path())}
 
 
 def test_the_cure_is_the_profile_and_bigger_buffers_where_the_kernel_allows_small_ones_only(monkeypatch, tmp_path):
