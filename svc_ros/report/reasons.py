@@ -50,11 +50,11 @@ REASON_TEXTS: Mapping[Reason, ReasonText] = MappingProxyType({
     ),
     Reason.UNSUPPORTED_CLOUD: ReasonText(
         "the cloud cannot be read; the detail says what was expected and found",
-        "fix the driver, or ask svc_ros doctor BAG",
+        "fix the driver, or ask svc_ros doctor BAG, or svc_ros doctor --live TOPIC",
     ),
     Reason.TF_UNAVAILABLE: ReasonText(
-        "no transform from sensor_frame to the cloud's frame at its stamp",
-        "publish it, raise tf_timeout, or set sensor_origin",
+        "no transform from sensor_frame to the cloud's frame at its stamp, or one for two scans with one stamp",
+        "publish it, raise tf_timeout, or set sensor_origin; two scans with one stamp belong in their sensors' frames",
     ),
     Reason.TIME_SKEW: ReasonText("no partner within max_skew", "raise max_skew, or give both clouds one stamp"),
     Reason.STALE: ReasonText(

@@ -72,12 +72,19 @@ def _start(args: list[str] | None) -> int:
 
 def _spin(node: RegistrationNode, stop: _Stop) -> int:
     import rclpy
-    from rclpy.executors import SingleThreadedExecutor
+    from rclpy._rclpy_pybind11 import RCLError
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    while not stop.is_wanted:  # Python hears of a signal between two callbacks; the node's timer is called every 0.25 s
-        executor.spin_once()
+    try:
+        while not stop.is_wanted:  # Python hears of a signal between two callbacks; a timer is called every 0.25 s
+            executor.spin_once()
+    except ExternalShutdownException:
+        pass
+    except RCLError:
+        if rclpy.ok():
+            raise  # otherwise shut down between the executor's look at that and its waiting
     if not node.stop(_JOIN_S):
         sys.stdout.flush()
         sys.stderr.flush()

@@ -19,7 +19,7 @@ from std_msgs.msg import Bool  # noqa: E402
 from yardstick import PATIENCE_S  # noqa: E402
 
 from svc_ros.ros.collector import spin_until  # noqa: E402
-from svc_ros.ros.node import _spin  # noqa: E402
+from svc_ros.ros.node import _spin, _Stop  # noqa: E402
 from svc_ros.ros.processes import own_domain_id  # noqa: E402
 from svc_ros.ros.registration_node import RegistrationNode  # noqa: E402
 
@@ -101,7 +101,7 @@ def test_a_shutdown_while_the_executor_prepares_to_wait_ends_the_program_in_good
     try:
         node = RegistrationNode(parameter_overrides=[Parameter("autostart", value=False)])
         node.add_waitable(OtherThread(node, rclpy.try_shutdown))
-        assert _spin(node) == 0
+        assert _spin(node, _Stop()) == 0
     finally:
         signal.signal(signal.SIGINT, signal.default_int_handler)
         rclpy.try_shutdown()
