@@ -6,7 +6,7 @@
 MODE := $(if $(ROS_DISTRO)$(AMENT_PREFIX_PATH),apt,wheels)
 PY := .venv/bin/python
 # Processes that run tests side by side, each with one thread of BLAS; the tests of one file stay together.
-WORKERS ?= 3
+WORKERS ?= 4
 STAMP := .venv/.ready-$(MODE)
 BENCHMARKS := $(sort $(wildcard benchmarks/*.py))
 

@@ -61,7 +61,8 @@ REASON_TEXTS: Mapping[Reason, ReasonText] = MappingProxyType({
         "the stamps jumped back, or the node was reset", "nothing: a bag started again"
     ),
     Reason.SUPERSEDED: ReasonText(
-        "a newer pair came first (the queue was full), or the other stream is silent",
+        "a newer pair came first (the queue was full), or the other stream is silent; in loop_closure also: newer "
+        "keyframes came before this one's candidates could be judged",
         "process_every for a replay; fewer pairs, or larger voxels",
     ),
     Reason.INACTIVE: ReasonText("the node is disabled or not active", "call ~/enable, or activate it"),

@@ -153,7 +153,7 @@ def answer_of(decision: StreamDecision) -> str:
     return json.dumps([{key: value for key, value in told.items() if key != "time_ms"}, decision.origin, bits])
 
 
-@pytest.mark.parametrize("with_odometry", [True, False])
+@pytest.mark.parametrize("with_odometry", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_judging_in_several_threads_gives_the_same_bits(with_odometry: bool) -> None:
     """Of keyframes that several questions share as targets, and that are a source and a target at once."""
     values = {"loop_closure.min_gap_s": 1.0, "loop_closure.max_near": 2, "loop_closure.max_similar": 2,
