@@ -2,7 +2,7 @@
 
 By default a process of the same machine is sent to through shared memory of the sender, 512 KiB: of a cloud of 1.4 MB
 the beginning is overwritten before the reader has seen it. Who receives cannot change that, but can be reached by UDP
-alone, into socket buffers of its own. See docs/middleware.md.
+alone (or TCP), into socket buffers of its own. See docs/middleware.md.
 """
 
 from __future__ import annotations
@@ -23,8 +23,32 @@ _CHOICES = (PROFILE_VARIABLE, "FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_
 _OWN_FILE = "DEFAULT_FASTRTPS_PROFILES.xml"  # Fast DDS reads it in the working directory
 _DEFAULT_RMW = "rmw_fastrtps_cpp"  # of Jazzy
 _LARGEST_BUFFER = Path("/proc/sys/net/core/rmem_max")
-# What is sent here is announced by UDP addresses only, so that nobody sends it through a segment that is too small.
-_BY_UDP_ONLY = "<defaultUnicastLocatorList><locator><udpv4/></locator></defaultUnicastLocatorList>"
+# No shared memory, so that nobody sends through a segment that is too small.
+_RECEIVER = """<?xml version="1.0" encoding="UTF-8"?>
+<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
+  <transport_descriptors>
+    <transport_descriptor>
+      <transport_id>udp</transport_id><type>UDPv4</type><receiveBufferSize>{buffer}</receiveBufferSize>
+    </transport_descriptor>
+    <transport_descriptor>
+      <transport_id>tcp</transport_id><type>TCPv4</type><listening_ports><port>0</port></listening_ports>
+      <calculate_crc>false</calculate_crc><check_crc>false</check_crc>
+    </transport_descriptor>
+  </transport_descriptors>
+  <participant profile_name="receiver" is_default_profile="true">
+    <rtps>
+      {transports}
+      <useBuiltinTransports>false</useBuiltinTransports>
+    </rtps>
+  </participant>
+</profiles>
+"""
+# TCP for drivers with LARGE_DATA, which send clouds by nothing else to who has no shared memory.
+_EVERYWHERE = "<userTransports><transport_id>udp</transport_id><transport_id>tcp</transport_id></userTransports>"
+# Where discovery stays on the machine, ROS adds transports of its own, also to drivers. Their shared memory is not told
+# of, so it stays out of use.
+_ON_THIS_MACHINE = """<defaultUnicastLocatorList><locator><udpv4/></locator></defaultUnicastLocatorList>
+      <userTransports><transport_id>udp</transport_id></userTransports>"""
 
 
 def profile_path() -> Path:
@@ -51,15 +75,14 @@ def profile_environment(environment: Mapping[str, str] = os.environ) -> dict[str
 def receiving_transports() -> Iterator[bool]:
     """While this lasts, the first node of the process is made so that big clouds reach it, whoever sends them.
 
-    Yields False, and changes nothing, where the user has chosen transports or the shipped profile is missing. The
-    middleware reads its profile when the first node of a process is made, and never again.
+    Yields False, and changes nothing, where the user has chosen transports. The middleware reads its profile when the
+    first node of a process is made, and never again.
     """
-    if is_set_by_user() or not profile_path().is_file():
+    if is_set_by_user():
         yield False
         return
-    wanted = min(max(largest_socket_buffer() or 0, SOCKET_BUFFER), _MOST_OF_USE)
-    text = profile_path().read_text(encoding="utf-8").replace("<rtps>", f"<rtps>{_BY_UDP_ONLY}")
-    text = text.replace(f"<receiveBufferSize>{SOCKET_BUFFER}<", f"<receiveBufferSize>{wanted}<")
+    buffer = min(max(largest_socket_buffer() or 0, SOCKET_BUFFER), _MOST_OF_USE)
+    text = _RECEIVER.format(buffer=buffer, transports=_ON_THIS_MACHINE if _is_local(os.environ) else _EVERYWHERE)
     with tempfile.TemporaryDirectory(prefix="svc_ros_") as folder:
         path = Path(folder, PROFILE_NAME)
         path.write_text(text, encoding="utf-8")
@@ -68,6 +91,12 @@ def receiving_transports() -> Iterator[bool]:
             yield True
         finally:
             os.environ.pop(PROFILE_VARIABLE, None)
+
+
+def _is_local(environment: Mapping[str, str]) -> bool:
+    """True if discovery stays on this machine."""
+    discovery = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper()
+    return discovery == "LOCALHOST" or environment.get("ROS_LOCALHOST_ONLY") == "1"
 
 
 def largest_socket_buffer() -> int | None:

@@ -49,12 +49,26 @@ def test_the_shipped_profile_has_room_for_clouds():
     assert texts(profile_path(), "defaultUnicastLocatorList") == []
 
 
-def test_a_receiver_has_the_profile_and_udp_addresses_while_its_node_is_made():
+@pytest.mark.parametrize(
+    ("variable", "value", "is_local"),
+    [
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST", True),
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET", False),
+        ("ROS_LOCALHOST_ONLY", "1", True),
+        ("ROS_LOCALHOST_ONLY", "0", False),
+    ],
+)
+def test_a_receiver_is_reached_by_udp_and_not_through_shared_memory(monkeypatch, variable, value, is_local):
+    for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv(variable, value)
     with receiving_transports() as is_ours:
         assert is_ours
         path = os.environ[PROFILE_VARIABLE]
-        assert texts(path, "segment_size") == texts(profile_path(), "segment_size")
-        assert len(texts(path, "udpv4")) == len(texts(path, "defaultUnicastLocatorList")) == 1
+        used = [node.text for node in xml.parse(path).findall(".//{*}userTransports/{*}transport_id")]
+        assert used == (["udp"] if is_local else ["udp", "tcp"])
+        assert "SHM" not in texts(path, "type")
+        assert len(texts(path, "udpv4")) == int(is_local)  # ROS adds shared memory there: its address is not told
     assert PROFILE_VARIABLE not in os.environ
     assert not os.path.exists(path)
 
