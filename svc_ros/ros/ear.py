@@ -157,7 +157,7 @@ def _words(policy: Any) -> str:
 
 def _surroundings(node: Node) -> dict[str, Any]:
     """What else is to be seen from here, and what to do against loss."""
-    clouds = [name for name, kinds in node.get_topic_names_and_types() if CLOUD_TYPE in kinds]
+    clouds = [name for name, kinds in node.get_topic_names_and_types() if {CLOUD_TYPE, LIVOX_TYPE} & set(kinds)]
     nodes = {name for name, _ in node.get_node_names_and_namespaces() if not name.startswith("_")}
     discovery = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
     return {

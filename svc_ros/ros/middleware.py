@@ -75,7 +75,8 @@ def profile_environment(environment: Mapping[str, str] = os.environ) -> dict[str
 def receiving_transports() -> Iterator[bool]:
     """While this lasts, the first node of the process is made so that big clouds reach it, whoever sends them.
 
-    Yields False, and changes nothing, where the user has chosen transports. The middleware reads its profile when the
+    Yields False, and changes nothing, where the user has chosen transports, or no file can be
+    written. The middleware reads its profile when the
     first node of a process is made, and never again.
     """
     if is_set_by_user():
@@ -83,9 +84,13 @@ def receiving_transports() -> Iterator[bool]:
         return
     buffer = min(max(largest_socket_buffer() or 0, SOCKET_BUFFER), _MOST_OF_USE)
     text = _RECEIVER.format(buffer=buffer, transports=_ON_THIS_MACHINE if _is_local(os.environ) else _EVERYWHERE)
-    with tempfile.TemporaryDirectory(prefix="svc_ros_") as folder:
-        path = Path(folder, PROFILE_NAME)
-        path.write_text(text, encoding="utf-8")
+    with contextlib.ExitStack() as stack:
+        try:
+            path = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="svc_ros_")), PROFILE_NAME)
+            path.write_text(text, encoding="utf-8")
+        except OSError:  # nothing can be written here: the middleware's defaults have to do
+            yield False
+            return
         os.environ[PROFILE_VARIABLE] = str(path)
         try:
             yield True

@@ -151,6 +151,8 @@ def test_bursts_and_a_single_cloud_are_no_good_rate() -> None:
     assert (finding("rate", arrivals=bursts).level, finding("rate").level) == ("warn", "ok")
     one = finding("rate", arrivals=arrivals(1), kept={0: serialised(BALL, 0)})
     assert (one.level, one.found) == ("warn", "1 cloud in 10 s")
+    lost = finding("loss", arrivals=arrivals(1), kept={0: serialised(BALL, 0)}, num_lost=99)
+    assert (lost.level, lost.found.split(":")[0]) == ("warn", "99.0%, 99 of 100")
 
 
 def test_nothing_that_comes_is_an_error() -> None:

@@ -42,6 +42,10 @@ def test_the_usual_name_wins_then_the_only_one(clouds, name, words):
     assert words in choice.why
 
 
+def test_livox_own_message_is_a_cloud_too():
+    assert cloud_topics([("/livox/lidar", ["livox_ros_driver2/msg/CustomMsg"], 1)]) == ["/livox/lidar"]
+
+
 def test_of_several_none_is_guessed_and_the_lines_to_write_are_told():
     with pytest.raises(InputError) as error:
         choose_points(["/front", "/rear"], "/points", "on the graph", "points")
@@ -101,6 +105,20 @@ def test_a_namespace_has_its_own_usual_name(monkeypatch):
     assert "points:=/robot/points" in said(module, mode="scan_matching", namespace="robot")[0]
 
 
+def test_topics_of_pairs_are_no_stream(monkeypatch):
+    module = load(REGISTRATION, monkeypatch, graph_with("/source_points", "/target_points"))
+    assert remapped(module, mode="loop_closure")["points"] == "points"
+    assert "there are no clouds on the graph yet" in said(module, mode="loop_closure")[0]
+
+
+def test_where_no_cloud_tells_its_frame_the_base_is_left_alone_and_that_is_said(monkeypatch):
+    module = load(REGISTRATION, monkeypatch, graph_with())
+    (node,) = started(module, mode="scan_matching", publish_tf="true")
+    assert "base_frame" not in node.options["parameters"][0]
+    told = said(module, mode="scan_matching", publish_tf="true")[1]
+    assert told == "found: base_frame stays the clouds' own: no cloud came on /points to tell which that is"
+
+
 def test_several_streams_stop_the_launch(monkeypatch):
     module = load(REGISTRATION, monkeypatch, graph_with("/front", "/rear"))
     with pytest.raises(InputError, match="name one of them"):
@@ -139,6 +157,7 @@ def test_a_bag_tells_its_only_clouds_and_the_base(tmp_path):
     values, lines = find_in_bag(wanted(bag, publish_tf="true"))
     assert values == {"points": "/os/points", "base_frame": "base_link"}
     assert lines[0] == f"topic:=/os/points (the only clouds in {bag})"
+    assert find_in_bag(wanted(bag, publish_tf="True"))[0] == values
     assert find_in_bag(wanted(bag))[0] == {"points": "/os/points"}
     assert find_in_bag(wanted(bag, publish_tf="true", base_frame="lidar"))[0] == {"points": "/os/points"}
     assert find_in_bag(wanted(bag, topic="/given", publish_tf="true"))[0] == {"points": "/given"}

@@ -146,8 +146,20 @@ def test_time_that_jumps_back_is_told_once_with_what_is_forgotten(host, capfd, h
         points.publish(cloud(POINTS, seconds - 0.1))
         assert collector.wait_for_decisions(number, PATIENCE_S)
     (line,) = [line for line in capfd.readouterr().err.splitlines() if "jumped back" in line]
-    assert "the clock jumped" in line if has_clock else "stamps jumped" in line
+    assert "the clock jumped" in line if has_clock else "the stamps of points jumped" in line
     assert line.endswith("keyframes are forgotten, odometry begins anew")
+
+
+def test_inputs_whose_stamps_are_apart_jump_each_for_itself(host, capfd):
+    watch = InputWatch(host.node, Statistics({}), "loop_closure")
+    for k in range(3):
+        watch.stamped("points", (100 + k) * 1_000_000_000)
+        watch.stamped("source", (50 + k) * 1_000_000_000)
+    assert "jumped back" not in capfd.readouterr().err
+    watch.stamped("source", 10_000_000_000)
+    watch.stamped("target", 10_000_000_000)
+    (line,) = [line for line in capfd.readouterr().err.splitlines() if "jumped back" in line]
+    assert line.endswith("the stamps of source jumped back: clouds that waited for a partner are forgotten")
 
 
 def test_decisions_are_told_under_name_and_namespace_as_diagnostics_are(host):

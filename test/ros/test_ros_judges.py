@@ -175,6 +175,16 @@ def test_closed_judges_answer_all_that_waits_and_comes(bench) -> None:
     assert sorted(bench.told) == [*begun, (num_threads, "inactive"), (99, "inactive")]
 
 
+@pytest.mark.parametrize("every", [True, False])
+def test_what_is_closed_is_answered_although_all_judges_are_busy(bench, every) -> None:
+    for stamp_ns in range(1, 8):
+        bench.put(stamp_ns, every=every)
+    bench.until(lambda: len(bench.begun) in (1, 4) and bench.judges.num_waiting == 7 - len(bench.begun))
+    bench.judges.close("the node was stopped")
+    assert not bench.judges.join(0.0)
+    assert sorted(bench.told) == [(k, "inactive") for k in range(len(bench.begun) + 1, 8)]
+
+
 def test_closing_ends_the_waiting_for_room() -> None:
     bench = Bench(num_threads=1)
     bench.put(0)

@@ -62,6 +62,14 @@ def test_numbers_of_several_publishers_say_nothing():
     assert loss.num_lost == 0
 
 
+def test_reports_count_after_gaps_that_the_middleware_did_not_report():
+    loss = played([1, 13])
+    assert loss.num_lost == 11
+    loss.take(None, 0.2)  # a second publisher: numbers say nothing any more
+    loss.report(9, 0.3)
+    assert loss.num_lost == 20
+
+
 def test_a_warning_stays_for_ten_seconds_after_the_last_loss_and_then_goes():
     loss = played([1, 3])
     assert loss.warning(0.2)

@@ -92,6 +92,13 @@ def test_transports_that_the_user_has_chosen_are_left_alone(monkeypatch, name):
     assert middleware.profile_environment() == {}
 
 
+def test_where_no_file_can_be_written_defaults_have_to_do(monkeypatch):
+    monkeypatch.setattr(middleware.tempfile, "tempdir", "/nowhere/at/all")
+    with receiving_transports() as is_ours:
+        assert not is_ours
+        assert PROFILE_VARIABLE not in os.environ
+
+
 def test_a_profile_in_the_working_directory_is_a_choice_too(monkeypatch, tmp_path):
     (tmp_path / "DEFAULT_FASTRTPS_PROFILES.xml").write_text(PLAIN_PROFILE)
     with receiving_transports() as is_ours:

@@ -19,10 +19,11 @@ _SINCE_START_S = 1e8  # three years: clocks that count from their own start, not
 
 
 def check_arrivals(heard: Heard) -> list[Finding]:
-    """Rate, size and loss of at least one cloud."""
+    """Rate, size and loss of at least one cloud; of one alone no size, which is told with the rate."""
     steps_s = np.diff([arrival.received_ns for arrival in heard.arrivals]) / 1e9
     if not len(steps_s):
-        return [Finding("rate", "warn", f"1 cloud in {heard.seconds:g} s", "listen longer: --seconds 60")]
+        rate = Finding("rate", "warn", f"1 cloud in {heard.seconds:g} s", "listen longer: --seconds 60")
+        return [rate, check_loss(heard)]
     return [_check_rate(steps_s, heard.seconds), _check_size(heard.arrivals, float(steps_s.mean())), check_loss(heard)]
 
 

@@ -15,6 +15,7 @@ from sensor_msgs.msg import PointCloud2
 
 from svc_ros.ros.collector import spin_until
 from svc_ros.ros.discovery.choice import SeenTopic, cloud_topics
+from svc_ros.ros.middleware import receiving_transports
 
 _LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _SETTLED_S = 1.0  # so long nothing new has come: what is there has been seen
@@ -29,7 +30,9 @@ class Onlooker:
 
     def __enter__(self) -> Onlooker:
         rclpy.init(args=[], context=self._context, domain_id=self._domain_id)
-        self._node = Node("svc_onlooker", context=self._context, enable_rosout=False, start_parameter_services=False)
+        with receiving_transports():  # a cloud is to be heard, too
+            options = {"context": self._context, "enable_rosout": False, "start_parameter_services": False}
+            self._node = Node("svc_onlooker", **options)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         return self

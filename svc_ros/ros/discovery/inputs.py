@@ -43,10 +43,15 @@ def find_live(given: Mapping[str, str]) -> tuple[Values, list[str]]:
                 named = {name: full_name(values[name], given["namespace"]) for name in ("source", "target")}
                 said.append(describe_pair(clouds, named))
             else:
-                choice = choose_points(clouds, usual["points"], "on the graph", "points")
+                streams = [name for name in clouds if name not in (usual["source"], usual["target"])]
+                choice = choose_points(streams, usual["points"], "on the graph", "points")
                 values["points"] = USUAL["points"] if choice.name == usual["points"] else choice.name
                 said.append(choice.why)
-        if wants_base and (frame := onlooker.frame_of(full_name(values["points"], given["namespace"]))):
+        points = full_name(values["points"], given["namespace"])
+        frame = onlooker.frame_of(points) if wants_base else ""
+        if wants_base and not frame:
+            said.append(f"base_frame stays the clouds' own: no cloud came on {points} to tell which that is")
+        if frame:
             parents = onlooker.static_parents(lambda known: choose_base(frame, known) is not None)
             if base := choose_base(frame, parents):
                 values["base_frame"] = base.name
@@ -98,4 +103,5 @@ def _base_in(path: str, points: str) -> Choice | None:
 
 def _wants_base(given: Mapping[str, str]) -> bool:
     """Where the sensor's frame hangs below the base, a second parent for it would tear the tree."""
-    return given["mode"] == "scan_matching" and given["publish_tf"] == "true" and not given["base_frame"]
+    is_sent = given["publish_tf"].strip().lower() == "true"
+    return given["mode"] == "scan_matching" and is_sent and not given["base_frame"]

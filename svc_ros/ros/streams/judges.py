@@ -95,7 +95,8 @@ class Judges:
             self._changed.notify_all()
 
     def join(self, timeout_s: float) -> bool:
-        """After `close`, wait for what is being judged; False if that takes longer."""
+        """After `close`, tell what is not judged any more and wait for what is; False if that takes longer."""
+        self._tell_what_is_ready()
         end = time.monotonic() + timeout_s
         for thread in self._threads:
             thread.join(max(end - time.monotonic(), 0.0))
@@ -126,7 +127,8 @@ class Judges:
 
     def _ready(self) -> tuple[_Place, list[Decision]] | None:
         for number, place in enumerate(self._line):
-            if not isinstance(place.outcome, Judgement) and (number == 0 or not place.is_in_turn):
+            is_its_turn = number == 0 or not place.is_in_turn or self._why_closed is not None
+            if not isinstance(place.outcome, Judgement) and is_its_turn:
                 return place, place.outcome
         return None
 

@@ -77,7 +77,7 @@ class CloudTopic:
     def _senders(self) -> dict[str, str]:
         """Types that are published on the topic, and the nodes that do so."""
         nodes: dict[str, list[str]] = {}
-        for info in self._node.get_publishers_info_by_topic(self._resolved):
+        for info in self._node.get_publishers_info_by_topic(self._topic):
             nodes.setdefault(info.topic_type, []).append(f"{info.node_namespace.rstrip('/')}/{info.node_name}")
         return {kind: ", ".join(dict.fromkeys(names)) for kind, names in nodes.items()}
 

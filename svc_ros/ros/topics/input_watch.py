@@ -5,6 +5,7 @@ The log has one line when something begins, and one when it is over; /diagnostic
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -40,7 +41,7 @@ class InputWatch:
         self._inputs: dict[str, _Input] = {}
         self._silent: set[str] = set()
         self._told_losses: set[str] = set()
-        self._order = StampOrder()
+        self._orders: defaultdict[str, StampOrder] = defaultdict(StampOrder)
 
     def add(self, topic: str, qos: QoSProfile, monitor: InputMonitor | None = None) -> None:
         """Watch an input: its name before remapping, what it asks for, and for clouds when they came.
@@ -51,22 +52,25 @@ class InputWatch:
 
     def look(self, now_s: float) -> None:
         """Tell what has changed; to be called once a second. now_s: of the steady clock that the monitors have [s]."""
-        for entry in self._inputs.values():
+        for entry in list(self._inputs.values()):
             publishers = self._node.get_publishers_info_by_topic(entry.topic)
             self._tell_qos(entry, [p.qos_profile for p in publishers])
             if entry.monitor is not None and entry.topic not in self._statistics.qos_problems:
                 self._tell_silence(entry, entry.monitor, now_s, len(publishers))
             self._tell_loss(entry, now_s)
 
-    def stamped(self, stamp_ns: int) -> None:
-        """A cloud with this stamp came: says so if stamps jumped back."""
-        if self._order.is_jump(stamp_ns):
-            self._node.get_logger().warning(f"the clouds' stamps jumped back: {self._forgotten}")
-        self._order.lateness(stamp_ns)
+    def stamped(self, name: str, stamp_ns: int) -> None:
+        """A cloud with this stamp came on the input `name`: says so if its stamps jumped back."""
+        if self._orders[name].is_jump(stamp_ns):
+            is_stream = name == "points" or self._forgotten == FORGOTTEN["pair"]
+            forgotten = self._forgotten if is_stream else "clouds that waited for a partner are forgotten"
+            self._node.get_logger().warning(f"the stamps of {name} jumped back: {forgotten}")
+            self._orders.clear()  # the other input of a pair follows, which is no second jump
+        self._orders[name].lateness(stamp_ns)
 
     def clock_jumped(self) -> None:
         """Simulated time went back, and everything is forgotten: stamps may begin anew."""
-        self._order.clear()
+        self._orders.clear()
         self._node.get_logger().warning(f"the clock jumped back: {self._forgotten}")
 
     def _tell_qos(self, entry: _Input, offered: list[QoSProfile]) -> None:

@@ -160,7 +160,7 @@ class Inputs:
         now = self._last_cloud_s = time.monotonic()
         self._statistics.inputs[name].tick(now)
         stamp_ns = self._last_stamp_ns = ns_from_stamp(message.header.stamp)
-        self.watch.stamped(stamp_ns)
+        self.watch.stamped(name, stamp_ns)
         return Cloud(message, stamp_ns, now)
 
     def _on_scan(self, message: CloudMessage) -> None:

@@ -36,6 +36,8 @@ class LossMonitor:
         with self._lock:
             if number is not None and self._last_number is not None and number > self._last_number:
                 self._in_gaps += number - self._last_number - 1  # a smaller one is a publisher's that began anew
+            if number is None and self._last_number is not None:
+                self._in_gaps = self._reported = max(self._in_gaps, self._reported)  # from now on reports alone count
             self._last_number = number
             self._note(now_s, 1)
 

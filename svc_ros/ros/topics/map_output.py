@@ -61,7 +61,7 @@ class MapOutput:
 
     def forget(self) -> None:
         """Send nothing until the next acceptance."""
-        self._found = None
+        self._found, self._problem = None, ""
 
     def numbers(self) -> dict[str, Any]:
         """How many pairs were taken over, and why the last accepted one was not; safe from any thread."""
