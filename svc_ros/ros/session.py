@@ -42,7 +42,7 @@ from svc_ros.ros.topics.sources import Sources
 # How soon Python asks the thread that computes to let the executor in. With its own 5 ms, a thread that lets go of the
 # interpreter for a moment every few milliseconds is never asked, and the executor waits for all of its work: 0.1 s.
 _SWITCH_S = 1e-3
-_FINISH_S = 0.4  # for decisions that wait for a slow reader at the end
+_FINISH_S, _MOST_S = 0.4, 1.0  # for decisions that wait for slow readers at the end; with what is left of the time
 _JUMP = JumpThreshold(min_forward=None, min_backward=Duration(seconds=-1), on_clock_change=False)
 
 
@@ -82,7 +82,7 @@ class Session:
         end = time.monotonic() + timeout_s
         self.judges.close("the node was stopped")
         is_done = self.worker.stop(timeout_s) and self.judges.join(max(end - time.monotonic(), 0.0))
-        self.outputs.finish(_FINISH_S)
+        self.outputs.finish(min(max(end - time.monotonic(), 0.0) + _FINISH_S, _MOST_S))
         try:
             self.write_graph()
         except InputError as error:

@@ -22,7 +22,7 @@ from svc_ros.ros.processes import ChildProcess, local_environment, own_domain_id
 pytestmark = pytest.mark.dds
 
 SCANS = [scan_room(T, seed=k) for k, T in enumerate(POSES)]
-MUCH_S = 0.3  # of the time to end in
+MUCH_S = 0.1  # of the time to end in
 NOISE = ("Traceback", "rosout", "invalid", "Error", "ERROR", "failed")
 
 

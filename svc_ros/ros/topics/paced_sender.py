@@ -72,6 +72,7 @@ class PacedSender(Generic[Message]):
                 _log.exception("a message could not be sent")
             self._sent_s = time.monotonic()
             self._messages.popleft()
+        self._wait_for_the_last()
 
     def _wait_for_work(self) -> bool:
         """False when everything is sent and nothing more will come."""
@@ -90,6 +91,12 @@ class PacedSender(Generic[Message]):
                 return
             time.sleep(_ASK_EVERY_S)
         self.is_reader_stopped = False
+
+    def _wait_for_the_last(self) -> None:
+        """Who closes gives the publisher back, and with it what has not arrived."""
+        end_s = self._close_by_s or 0.0
+        while not self.is_reader_stopped and time.monotonic() < end_s and not self._have_all_arrived():
+            time.sleep(_ASK_EVERY_S)
 
     def _have_all_arrived(self) -> bool:
         try:
