@@ -13,9 +13,8 @@ import os
 import re
 import subprocess
 import sys
-from typing import Any
 
-from lib.common import PROJECT_ROOT, console, describe_run, parse_options, print_table, write_report
+from lib.common import child_environment, console, describe_run, parse_options, print_table, write_report
 
 CASES = (  # driver, listener
     ("defaults", "defaults"),
@@ -67,10 +66,9 @@ def play(driver: str, listener: str, options: argparse.Namespace) -> tuple[int, 
 def start(words: list[str], setting: str) -> subprocess.Popen[str]:
     """One side, with that setting of its transports."""
     from svc_ros.ros.middleware import PROFILE_VARIABLE, profile_path
-    from svc_ros.ros.processes import local_environment, own_domain_id
+    from svc_ros.ros.processes import own_domain_id
 
-    environment: dict[str, Any] = local_environment(own_domain_id(97))
-    environment["PYTHONPATH"] = f"{PROJECT_ROOT / 'benchmarks'}:{PROJECT_ROOT}:{os.environ.get('PYTHONPATH', '')}"
+    environment = child_environment(own_domain_id(97))
     if setting == "profile":
         environment[PROFILE_VARIABLE] = str(profile_path())
     if setting in ("UDPv4", "LARGE_DATA"):

@@ -11,16 +11,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from lib.common import PROJECT_ROOT, describe_run, parse_options, print_table, write_report
+from lib.common import describe_run, parse_options, print_table, write_report
 
-MAX_ROTATION_DEG, MAX_TRANSLATION_M = 5.0, 0.6
 COLUMNS = (
     "sent", "received", "lost", "decisions", "accepted", "superseded", "wrong", "latency_ms_p50", "latency_ms_p95",
     "resident_mb_middle", "resident_mb_end", "load",
@@ -63,7 +61,6 @@ def drive(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
         drive_config = DriveConfig(sensor="HDL-64E", num_scans=60, spacing_m=0.3, rate_hz=20.0, seed=3)
         simulated = simulate_drive(folder / "drive", drive_config)
         bag, reference = simulated.bag, simulated.reference
-    os.environ["PYTHONPATH"] = f"{PROJECT_ROOT / 'benchmarks'}:{PROJECT_ROOT}:{os.environ.get('PYTHONPATH', '')}"
     heard = listen(bag, options, folder)
     truth = read_tum(reference).poses
     places = {stamp_of(k, options.rate): i for k, i in zip(range(heard.sent), order_of(len(truth)), strict=False)}
@@ -85,6 +82,7 @@ def drive(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
 def is_wrong(values: dict[str, str], truth: np.ndarray, places: dict[int, int]) -> bool:
     """True for an accepted pose that is not the reference's."""
     from svc_ros.core import se3
+    from svc_ros.evaluation.bag_reference import MAX_ROTATION_DEG, MAX_TRANSLATION_M
     from svc_ros.io.stamps import ns_from_text
 
     if values["verdict"] != "accepted":

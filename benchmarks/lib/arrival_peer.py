@@ -16,9 +16,10 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import PointCloud2
 
+from lib.live_driver import wait_until_heard
 from svc_ros.ros.middleware import receiving_transports
 
-_POINT_STEP, _HEARD_S, _DISCOVERED_S = 16, 60.0, 1.0
+_POINT_STEP, _DRAINED_S = 16, 1.0
 
 
 def send(topics: str, points: int, rate_hz: float, count: int) -> None:
@@ -28,16 +29,13 @@ def send(topics: str, points: int, rate_hz: float, count: int) -> None:
     publishers = [node.create_publisher(PointCloud2, topic, qos_profile_sensor_data) for topic in topics.split(",")]
     message = PointCloud2(height=1, width=points, point_step=_POINT_STEP, row_step=_POINT_STEP * points)
     message.data = array("B", os.urandom(_POINT_STEP * points))
-    end = time.monotonic() + _HEARD_S
-    while not all(p.get_subscription_count() for p in publishers) and time.monotonic() < end:
-        time.sleep(0.05)
-    time.sleep(_DISCOVERED_S)
+    wait_until_heard(*publishers)
     start = time.monotonic()
     for number in range(count):
         for publisher in publishers:
             publisher.publish(message)
         time.sleep(max(0.0, start + (number + 1) / rate_hz - time.monotonic()))
-    time.sleep(_DISCOVERED_S)
+    time.sleep(_DRAINED_S)
     print(f"sent {count * len(publishers)}", flush=True)
     os._exit(0)
 

@@ -107,6 +107,15 @@ def describe_run(datasets: Sequence[Dataset]) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def child_environment(domain_id: int) -> dict[str, str]:
+    """For a process on that domain: it finds the scripts and the package, installed or not."""
+    from svc_ros.ros.processes import local_environment
+
+    environment = local_environment(domain_id)
+    paths = [str(PROJECT_ROOT / "benchmarks"), str(PROJECT_ROOT), environment.get("PYTHONPATH", "")]
+    return {**environment, "PYTHONPATH": ":".join(path for path in paths if path)}
+
+
 def print_table(title: str, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """A table; the first column is text, the others are numbers, `-` where there is none."""
     table = Table(title=title, title_justify="left", title_style="bold")

@@ -16,9 +16,11 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import Trigger
 
+from lib.common import child_environment
+from lib.resident import resident_mb
 from svc_ros.ros.collector import DecisionCollector, spin_until
 from svc_ros.ros.middleware import PROFILE_VARIABLE, profile_path
-from svc_ros.ros.processes import ChildProcess, local_environment, own_domain_id
+from svc_ros.ros.processes import ChildProcess, own_domain_id
 
 _READY_S, _DRAIN_S = 300.0, 30.0
 
@@ -38,7 +40,7 @@ class Heard:
 def listen(bag: Path, options: argparse.Namespace, folder: Path) -> Heard:
     """The whole run; ends the script where a process does not what it should."""
     domain_id = own_domain_id(31)
-    environment = local_environment(domain_id)
+    environment = child_environment(domain_id)
     if options.profile:
         environment[PROFILE_VARIABLE] = str(profile_path())
     os.environ.update(environment)
@@ -72,10 +74,5 @@ def _watch(executor: SingleThreadedExecutor, driver: ChildProcess, pid: int) -> 
     while driver.exit_code is None:
         due = time.monotonic() + 1.0
         spin_until(executor, lambda due=due: time.monotonic() > due or driver.exit_code is not None, 1.5)  # type: ignore[misc]
-        sizes.append(_resident_mb(pid))
+        sizes.append(resident_mb(pid))
     return sizes
-
-
-def _resident_mb(pid: int) -> float:
-    lines = Path(f"/proc/{pid}/status").read_text(encoding="ascii").splitlines()
-    return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS:")) / 1024.0

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from itertools import cycle
 
 import rclpy
+from rclpy.publisher import Publisher
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import PointCloud2
 
@@ -34,6 +35,14 @@ def stamp_of(number: int, rate_hz: float) -> int:
     return START_NS + round(1e9 * number / rate_hz)
 
 
+def wait_until_heard(*publishers: Publisher) -> None:
+    """Return when somebody listens to each of them, or gives no sign for a minute or two."""
+    end = time.monotonic() + _HEARD_S
+    while not all(publisher.get_subscription_count() for publisher in publishers) and time.monotonic() < end:
+        time.sleep(0.05)
+    time.sleep(_DISCOVERED_S)  # the other side learns of this one a little later
+
+
 def main(bag_path: str, topic: str, rate_hz: float, seconds: float) -> None:
     """Play until the time is over."""
     with Bag(bag_path) as bag:
@@ -41,10 +50,7 @@ def main(bag_path: str, topic: str, rate_hz: float, seconds: float) -> None:
     rclpy.init()
     node = rclpy.create_node("driver")
     publisher = node.create_publisher(PointCloud2, topic, qos_profile_sensor_data)
-    end = time.monotonic() + _HEARD_S
-    while not publisher.get_subscription_count() and time.monotonic() < end:
-        time.sleep(0.05)
-    time.sleep(_DISCOVERED_S)  # the other side learns of this one a little later
+    wait_until_heard(publisher)
     start, count = time.monotonic(), round(rate_hz * seconds)
     for number, index in zip(range(count), order_of(len(clouds)), strict=False):
         clouds[index].header = header(stamp_of(number, rate_hz), clouds[index].header.frame_id)

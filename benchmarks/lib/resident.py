@@ -1,4 +1,4 @@
-"""Memory of this process."""
+"""Memory of a process."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ import resource
 import sys
 from pathlib import Path
 
-_STATUS = Path("/proc/self/status")
 
-
-def resident_mb() -> float:
-    """Resident set now [MB]; the largest so far where the system does not tell."""
-    return _field("VmRSS")
+def resident_mb(pid: int | None = None) -> float:
+    """Resident set now [MB], of this process or of another one; where the system does not tell, this one's largest."""
+    return _field("VmRSS", pid)
 
 
 def peak_mb() -> float:
@@ -22,9 +20,10 @@ def peak_mb() -> float:
     return _field("VmHWM")
 
 
-def _field(name: str) -> float:
-    if _STATUS.exists():
-        lines = _STATUS.read_text(encoding="ascii").splitlines()
+def _field(name: str, pid: int | None = None) -> float:
+    status = Path("/proc") / ("self" if pid is None else str(pid)) / "status"
+    if status.exists():
+        lines = status.read_text(encoding="ascii").splitlines()
         return next(int(line.split()[1]) for line in lines if line.startswith(f"{name}:")) / 1024.0
     unit = 1024.0**2 if sys.platform == "darwin" else 1024.0
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit

@@ -19,11 +19,11 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float32MultiArray
 from std_srvs.srv import Trigger
 
-from lib.common import PROJECT_ROOT
+from lib.common import child_environment
 from lib.soak_checks import MAX_KEYFRAMES, Record, Snapshot
 from lib.soak_node import LATENESS_TOPIC
 from svc_ros.ros.collector import DecisionCollector, spin_until
-from svc_ros.ros.processes import ChildProcess, local_environment, own_domain_id
+from svc_ros.ros.processes import ChildProcess, own_domain_id
 from svc_ros.ros.topics.conversions import header
 
 TOPICS = {"pair": ("source_points", "target_points"), "scan_matching": ("points",), "loop_closure": ("points",)}
@@ -52,7 +52,8 @@ class NodeUnderLoad:
     def __init__(self, mode: str, preset: str, folder: Path) -> None:
         self.record = Record(mode, _QUEUE_SIZE)
         domain_id = own_domain_id(70 + len(mode))
-        self.process = ChildProcess("lib.soak_node", _arguments(mode, preset), _environment(domain_id), folder / "log")
+        arguments, environment = _arguments(mode, preset), child_environment(domain_id)
+        self.process = ChildProcess("lib.soak_node", arguments, environment, folder / "log")
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain_id)
         self._node = Node("soak", context=self._context)
@@ -168,10 +169,3 @@ def _arguments(mode: str, preset: str) -> list[str]:
         values = ("reliability:=reliable", f"depth:={_DEPTH}")
         settings += [f"qos_overrides./{topic}.subscription.{value}" for value in values]
     return ["--ros-args", *(part for setting in settings for part in ("-p", setting))]
-
-
-def _environment(domain_id: int) -> dict[str, str]:
-    """The child finds the scripts and the package, installed or not."""
-    environment = local_environment(domain_id)
-    paths = [str(PROJECT_ROOT / "benchmarks"), str(PROJECT_ROOT), environment.get("PYTHONPATH", "")]
-    return {**environment, "PYTHONPATH": ":".join(path for path in paths if path)}

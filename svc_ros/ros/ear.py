@@ -23,12 +23,11 @@ from sensor_msgs.msg import PointCloud2
 
 from svc_ros.core.errors import InputError
 from svc_ros.io.clouds.cdr import CdrReader
-from svc_ros.io.clouds.livox import LIVOX_TYPE, cloud_from_cdr
-from svc_ros.io.clouds.point_cloud2 import CLOUD_TYPE
+from svc_ros.io.clouds.livox import CLOUD_TYPES, LIVOX_TYPE, cloud_from_cdr
 from svc_ros.io.heard import Arrival, Endpoint, Heard
 from svc_ros.io.stamps import ns_from_stamp
 from svc_ros.ros.middleware import cure
-from svc_ros.ros.topics.cloud_topic import livox_class, type_to_take
+from svc_ros.ros.topics.cloud_topic import livox_class, node_of, type_to_take
 
 _DISCOVERY_S = 5.0  # until a topic without publisher is believed to have none
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"  # rmw's word for it
@@ -144,7 +143,7 @@ def _other_subscriptions(node: Node, topic: str) -> tuple[Endpoint, ...]:
 def _endpoints(found: Sequence[TopicEndpointInfo]) -> tuple[Endpoint, ...]:
     return tuple(
         Endpoint(
-            f"{info.node_namespace.rstrip('/')}/{info.node_name}", info.topic_type,
+            node_of(info), info.topic_type,
             _words(info.qos_profile.reliability), _words(info.qos_profile.durability), info.qos_profile.depth,
         )
         for info in found
@@ -157,7 +156,7 @@ def _words(policy: Any) -> str:
 
 def _surroundings(node: Node) -> dict[str, Any]:
     """What else is to be seen from here, and what to do against loss."""
-    clouds = [name for name, kinds in node.get_topic_names_and_types() if {CLOUD_TYPE, LIVOX_TYPE} & set(kinds)]
+    clouds = [name for name, kinds in node.get_topic_names_and_types() if CLOUD_TYPES & set(kinds)]
     nodes = {name for name, _ in node.get_node_names_and_namespaces() if not name.startswith("_")}
     discovery = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
     return {

@@ -8,11 +8,7 @@ from pathlib import Path
 
 from svc_ros.core.errors import InputError
 from svc_ros.io.heard import write_heard
-
-_NO_RCLPY = (
-    "listening needs rclpy: pip install 'svc_ros[ros]' on a machine without ROS, "
-    "or apt install ros-jazzy-rclpy and source /opt/ros/jazzy/setup.bash"
-)
+from svc_ros.ros.usage import needs_rclpy
 
 
 def main(args: list[str] | None = None) -> int:
@@ -29,7 +25,7 @@ def main(args: list[str] | None = None) -> int:
         from svc_ros.ros.ear import listen
         from svc_ros.ros.middleware import receiving_transports
     except ImportError as error:
-        return _refuse(f"{_NO_RCLPY} ({error})")
+        return _refuse(needs_rclpy("listening", error))
     rclpy.init(args=[])
     with receiving_transports():  # to hear what the node would
         node = Node("svc_ros_doctor", enable_rosout=False, start_parameter_services=False)

@@ -17,10 +17,6 @@ if TYPE_CHECKING:
 
     from svc_ros.ros.registration_node import RegistrationNode
 
-_NO_RCLPY = (
-    "registration_node needs rclpy: pip install 'svc_ros[ros]' on a machine without ROS, "
-    "or apt install ros-jazzy-rclpy and source /opt/ros/jazzy/setup.bash"
-)
 _JOIN_S = 1.2  # a pair may take longer than anyone wants to wait after Ctrl-C
 
 
@@ -40,11 +36,12 @@ def main(args: list[str] | None = None) -> int:
 
 def _start(args: list[str] | None) -> int:
     from svc_ros.core.errors import SvcError
+    from svc_ros.ros.usage import needs_rclpy
 
     try:
         import rclpy
     except ImportError as error:
-        return _refuse(f"{_NO_RCLPY} ({error})")
+        return _refuse(needs_rclpy("registration_node", error))
     from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
     from rclpy.signals import SignalHandlerOptions
 

@@ -31,6 +31,14 @@ nothing arrives, or all is rejected: docs/decisions.md
 _NEED_ROS_ARGS = ("-p", "--param", "-r", "--remap", "--params-file")
 
 
+def needs_rclpy(what: str, error: ImportError) -> str:
+    """One line for who has no rclpy: what needs it, and how to get it."""
+    return (
+        f"{what} needs rclpy: pip install 'svc_ros[ros]' on a machine without ROS, "
+        f"or apt install ros-jazzy-rclpy and source /opt/ros/jazzy/setup.bash ({error})"
+    )
+
+
 def is_help_wanted(words: Sequence[str]) -> bool:
     """True if one of the words that are not ROS's asks for the usage."""
     return any(word in ("-h", "--help") for word in _own_words(words))

@@ -47,6 +47,14 @@ class Bench:
 
         self.judges.put(Judgement(job, CONFIG, judge), capacity, every)
 
+    def fill(self, num_more: int) -> int:
+        """Judgements for all threads, which are begun then, and some more that wait; returns how many are begun."""
+        num_threads = self.judges._num_threads
+        for stamp_ns in range(num_threads + num_more):
+            self.put(stamp_ns)
+        self.until(lambda: len(self.begun) == num_threads)
+        return num_threads
+
     def until(self, is_so) -> None:
         with self.changed:
             assert self.changed.wait_for(is_so, PATIENCE_S)
@@ -138,10 +146,7 @@ def test_where_nothing_may_be_lost_the_worker_waits_for_room() -> None:
 
 
 def test_giving_up_while_judging_keeps_what_is_being_judged(bench) -> None:
-    num_threads = bench.judges._num_threads
-    for stamp_ns in range(num_threads + 2):
-        bench.put(stamp_ns)
-    bench.until(lambda: len(bench.begun) == num_threads)
+    num_threads = bench.fill(2)
     bench.judges.give_up(Reason.STALE, "the node was reset")
     assert bench.judges.num_waiting == 0
     bench.put(99)
@@ -151,10 +156,7 @@ def test_giving_up_while_judging_keeps_what_is_being_judged(bench) -> None:
 
 
 def test_what_is_given_up_is_told_although_nothing_else_comes(bench) -> None:
-    num_threads = bench.judges._num_threads
-    for stamp_ns in range(num_threads + 1):
-        bench.put(stamp_ns)
-    bench.until(lambda: len(bench.begun) == num_threads)
+    num_threads = bench.fill(1)
     bench.judges.give_up(Reason.INACTIVE, "the node was disabled")
     bench.may_end.set()
     bench.until(lambda: len(bench.told) == num_threads + 1)
@@ -162,10 +164,7 @@ def test_what_is_given_up_is_told_although_nothing_else_comes(bench) -> None:
 
 
 def test_closed_judges_answer_all_that_waits_and_comes(bench) -> None:
-    num_threads = bench.judges._num_threads
-    for stamp_ns in range(num_threads + 1):
-        bench.put(stamp_ns)
-    bench.until(lambda: len(bench.begun) == num_threads)
+    num_threads = bench.fill(1)
     bench.judges.close("the node was stopped")
     bench.put(99, capacity=1, every=True)
     assert bench.judges.join(0.1) is False

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from svc_ros.io.clouds.cdr import CdrHeader, CdrReader
-from svc_ros.io.clouds.point_cloud2 import CloudField
+from svc_ros.io.clouds.point_cloud2 import CLOUD_TYPE, CloudField
 
 LIVOX_TYPE = "livox_ros_driver2/msg/CustomMsg"
+CLOUD_TYPES = frozenset({CLOUD_TYPE, LIVOX_TYPE})  # that the node takes
 NO_LIVOX_PACKAGE = (
     "its package is not found here: source the driver's workspace in this terminal, "
     "or set the driver's xfer_format to 0 (PointCloud2)"

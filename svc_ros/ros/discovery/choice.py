@@ -6,8 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from svc_ros.core.errors import InputError
-from svc_ros.io.clouds.livox import LIVOX_TYPE
-from svc_ros.io.clouds.point_cloud2 import CLOUD_TYPE
+from svc_ros.io.clouds.livox import CLOUD_TYPES
 from svc_ros.io.config_yaml import NODE_NAME
 
 BASE_FRAME = "base_link"
@@ -28,7 +27,7 @@ def cloud_topics(seen: Iterable[SeenTopic]) -> list[str]:
     return sorted(
         name
         for name, types, num_publishers in seen
-        if num_publishers and {CLOUD_TYPE, LIVOX_TYPE} & set(types) and NODE_NAME not in name.split("/")
+        if num_publishers and CLOUD_TYPES & set(types) and NODE_NAME not in name.split("/")
     )
 
 

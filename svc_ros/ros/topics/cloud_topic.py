@@ -16,6 +16,7 @@ from rclpy._rclpy_pybind11 import RCLError
 from rclpy.exceptions import NoTypeSupportImportedException
 from rclpy.node import Node
 from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.type_support import check_for_type_support
 from sensor_msgs.msg import PointCloud2
 
@@ -78,7 +79,7 @@ class CloudTopic:
         """Types that are published on the topic, and the nodes that do so."""
         nodes: dict[str, list[str]] = {}
         for info in self._node.get_publishers_info_by_topic(self._topic):
-            nodes.setdefault(info.topic_type, []).append(f"{info.node_namespace.rstrip('/')}/{info.node_name}")
+            nodes.setdefault(info.topic_type, []).append(node_of(info))
         return {kind: ", ".join(dict.fromkeys(names)) for kind, names in nodes.items()}
 
     def _change(self, wanted: str, livox: Any) -> str:
@@ -132,6 +133,11 @@ def type_problem(topic: str, senders: Mapping[str, str], taken: str) -> str:
             advice = NO_LIVOX_PACKAGE
         return f"{topic}: {nodes} publishes {kind}, which is not taken: {advice}"
     return ""
+
+
+def node_of(endpoint: TopicEndpointInfo) -> str:
+    """Name of the node, with its namespace, that a publisher or a subscription belongs to."""
+    return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
 
 
 def livox_class() -> Any:
