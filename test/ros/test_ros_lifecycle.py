@@ -278,7 +278,7 @@ def test_overrides_of_one_node_stay_with_that_node(host):
     of_second = {"qos_overrides./points.subscription.reliability": "best_effort"}
     second = host.start("second", mode="scan_matching", process_every=False, **of_second)
     (points,) = [s for s in second.subscriptions if s.topic_name == "/points"]
-    assert (points.qos_profile.reliability, points.qos_profile.depth) == (before.reliability, 10)
+    assert (points.qos_profile.reliability, points.qos_profile.depth) == (before.reliability, 20)
     assert qos_profile_sensor_data == before
 
 

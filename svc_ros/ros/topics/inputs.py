@@ -35,7 +35,7 @@ _KEPT_GUESSES, _KEPT_ODOMETRY = 16, 1000
 _RELIABLE = QoSProfile(depth=10)
 _ODOMETRY_DEPTH = QoSProfile(depth=100)
 # Clouds that the middleware keeps while the executor has no time for them; with `process_every` none may be lost.
-_DEPTH, _DEPTH_OF_EVERY = 10, 100
+_DEPTH, _DEPTH_OF_EVERY = 20, 100
 
 CLOUD_INPUTS: dict[str, dict[str, bool]] = {  # of each mode: name, and whether the mode cannot do without it
     "pair": {"source": True, "target": True},
