@@ -25,7 +25,7 @@ from svc_ros.io.places import check_place
 from svc_ros.pipeline.decide import refused
 from svc_ros.pipeline.scan_matching import ScanMatcher
 from svc_ros.ros.diagnostics import Statistics, statuses
-from svc_ros.ros.parameters import NodeParameters, NodeSettings
+from svc_ros.ros.parameters import NodeParameters
 from svc_ros.ros.streams.decision import Decision, Engine, labels
 from svc_ros.ros.streams.first_choice import FirstChoice
 from svc_ros.ros.streams.judges import Judges
@@ -59,13 +59,18 @@ class Session:
         self.is_active, self.is_enabled = False, True
         self.statistics = Statistics(CLOUD_INPUTS[settings.mode], status_name(node))
         self.judges = Judges(self._finish)
-        # What may need a package that is not there comes first: nothing is left behind then.
+        # What may need a package that is not there comes first, and nothing is left behind by what cannot be made.
         self.engine: Engine = self._make_engine()
-        self.frames = Frames(node, settings)
-        self.outputs = self._make_outputs(settings)
-        self._first_choice = FirstChoice(parameters, Sources(self, parameters).origin, node.get_logger().info)
+        with contextlib.ExitStack() as undo:
+            self.frames = Frames(node, settings)
+            undo.callback(self.frames.destroy)
+            self.outputs = Outputs(node, settings, self.frames, lambda: self.is_active)
+            undo.callback(self.outputs.destroy)
+            undo.callback(self.outputs.finish, 0.0)
+            self._first_choice = FirstChoice(parameters, Sources(self, parameters).origin, node.get_logger().info)
+            self.inputs = Inputs(node, parameters, self.statistics, self._take)
+            undo.pop_all()
         self.worker = Worker(self._process, self._warm_up)
-        self.inputs = Inputs(node, parameters, self.statistics, self._take)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         node.add_on_set_parameters_callback(self._check_change)
         self._jumps = node.get_clock().create_jump_callback(_JUMP, post_callback=self._on_clock_jump)
@@ -173,13 +178,6 @@ class Session:
             },
             "output": self.outputs.numbers(),
         }
-
-    def _make_outputs(self, settings: NodeSettings) -> Outputs:
-        try:
-            return Outputs(self._node, settings, self.frames, lambda: self.is_active)
-        except Exception:
-            self.frames.destroy()
-            raise
 
     def _make_engine(self) -> Engine:
         settings, sources = self._parameters.settings, Sources(self, self._parameters)

@@ -16,6 +16,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from mini_data import POSES, scan_room
 from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.qos import QoSProfile
 from ros_bench import SECOND, Host, cloud
 from sensor_msgs.msg import PointCloud2
@@ -24,6 +25,7 @@ from yardstick import PATIENCE_S
 
 from svc_ros.ros.collector import DecisionCollector, spin_until
 from svc_ros.ros.processes import own_domain_id
+from svc_ros.ros.registration_node import RegistrationNode
 
 pytestmark = pytest.mark.dds
 
@@ -166,12 +168,40 @@ def make_active(host: Host) -> None:
 def test_started_and_ended_at_once_again_and_again_it_leaves_nothing_behind(host, kind):
     node = host.start(autostart=False)
     host.executor.remove_node(node)
-    before = [len(list(entities)) for entities in (node.publishers, node.subscriptions, node.services, node.timers)]
+    threads = nodes_threads()
+    before = num_entities(node)
     changes = (node.trigger_configure, node.trigger_activate, node.trigger_deactivate, node.trigger_cleanup)
     with OwnThread(kind(context=host.context), node) as own:
         for change in changes * 5:
             change()
         assert own.errors == []
-        after = [len(list(entities)) for entities in (node.publishers, node.subscriptions, node.services, node.timers)]
+        after = num_entities(node)
     assert after == before
-    assert not {"registration", "decisions"} & {thread.name for thread in threading.enumerate()}
+    assert not nodes_threads() - threads
+
+
+def nodes_threads() -> set[threading.Thread]:
+    return {t for t in threading.enumerate() if t.name in ("registration", "decisions", "map frame")}
+
+
+def num_entities(node: RegistrationNode) -> list[int]:
+    return [len(list(entities)) for entities in (node.publishers, node.subscriptions, node.services, node.timers)]
+
+
+@pytest.mark.parametrize(
+    ("parameters", "problem"),
+    [
+        ({"qos_overrides./target_points.subscription.reliability": "reliabel"}, "reliabel"),
+        ({"mode": "loop_closure", "edges": "pose_graph_tools"}, "pose_graph_tools_msgs"),
+    ],
+    ids=["an override that is none", "a package that is not there"],
+)
+def test_what_cannot_be_configured_leaves_nothing_behind(host, capfd, parameters, problem):
+    node = host.start(autostart=False, **parameters)
+    threads = nodes_threads()
+    before = num_entities(node)
+    for _ in range(2):
+        assert node.trigger_configure() == TransitionCallbackReturn.FAILURE
+        assert num_entities(node) == before
+        assert nodes_threads() <= threads
+    assert capfd.readouterr().err.count(problem) == 2

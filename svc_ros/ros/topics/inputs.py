@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import functools
 import threading
@@ -65,13 +66,16 @@ class Inputs:
         self._cloud_topics: list[CloudTopic] = []
         settings = parameters.settings
         self.watch = InputWatch(node, statistics, settings.mode)
-        names = CLOUD_INPUTS[settings.mode]
-        for name in names:
-            self._subscribe_clouds(name)
-        if "source" in names:
-            self._keep_subscribed(PoseWithCovarianceStamped, "initial_guess", self._on_guess, _RELIABLE)
-        if settings.mode == "loop_closure" and settings.odometry == "topic":
-            self._keep_subscribed(Odometry, "odom", self._on_odometry, _ODOMETRY_DEPTH)
+        with contextlib.ExitStack() as undo:
+            undo.callback(self.destroy)
+            names = CLOUD_INPUTS[settings.mode]
+            for name in names:
+                self._subscribe_clouds(name)
+            if "source" in names:
+                self._keep_subscribed(PoseWithCovarianceStamped, "initial_guess", self._on_guess, _RELIABLE)
+            if settings.mode == "loop_closure" and settings.odometry == "topic":
+                self._keep_subscribed(Odometry, "odom", self._on_odometry, _ODOMETRY_DEPTH)
+            undo.pop_all()
 
     def give_up_waiting(self) -> None:
         """Answer what waits for a partner when clouds have not come for `pair_timeout`; to be called now and then."""
