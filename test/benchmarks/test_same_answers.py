@@ -178,6 +178,7 @@ def test_every_pair_negative_and_labelled_pose_is_asked(same_answers, tmp_path):
     assert len(same_answers.jobs_of(dataset, 1)) == 3
 
 
+@pytest.mark.slow
 def test_from_the_command_line_to_the_section(same_answers, monkeypatch, tmp_path, capsys):
     """Both trees are this one; then the answers of the second are changed."""
     asked, kept = same_answers.ask, []

@@ -53,6 +53,7 @@ class TestRealSensors:
             found = first_scans(recorded, BagPart(recorded.resolve_cloud_topic(None)), 2)
         assert choose_preset(found).preset == BAGS[name]
 
+    @pytest.mark.slow
     def test_every_pair_of_every_set(self, shared_data: Path) -> None:
         for folder in sorted((shared_data / "pairs").iterdir()):
             data = read_dataset(folder)

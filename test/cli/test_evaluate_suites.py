@@ -128,6 +128,7 @@ def test_several_sets_have_one_report_each_and_a_total(room, rooms, tmp_path):
     assert "all together" in run(room, room, "--limit", "1", "--method", "sc2")
 
 
+@pytest.mark.slow
 def test_dask_gives_the_reports_of_the_serial_run(room, rooms, tmp_path):
     pytest.importorskip("distributed")
     with dask_processes.cluster(tmp_path) as found:

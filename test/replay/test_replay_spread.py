@@ -55,6 +55,7 @@ def decisions(folder: Path) -> dict[str, list[dict]]:
     return found
 
 
+@pytest.mark.slow
 def test_bags_over_workers_give_the_decisions_of_the_serial_replay(bags, workers, tmp_path):
     replay(*bags, "--out", tmp_path / "serial")
     text = replay(*bags, "--out", tmp_path / "spread", "--scheduler", workers.address)
@@ -83,6 +84,7 @@ def test_a_bag_that_cannot_be_read_does_not_keep_the_others(bags, workers, tmp_p
     assert [run["state"] for run in runs] == ["complete", "failed"]
 
 
+@pytest.mark.slow
 def test_bags_of_a_lost_worker_are_replayed_by_another(bags, tmp_path):
     jobs = [
         ReplayJob(bag, tmp_path / f"{k}", preset("lidar_indoor"), "lidar_indoor", report=False)
