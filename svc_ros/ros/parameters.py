@@ -97,6 +97,9 @@ class NodeSettings:
             raise ConfigError("map_frame and publish_tf exclude each other: the source's frame would have two parents")
         if self.map_frame == self.odom_frame:
             raise ConfigError(f"map_frame and odom_frame have to differ, found {self.map_frame!r} for both")
+        if self.sensor_frame:
+            why = "where the sensor of a stored cloud stood is not where the robot's stands now: set sensor_origin"
+            raise ConfigError(f"map_frame and sensor_frame exclude each other: {why}")
 
     @property
     def max_skew_ns(self) -> int:

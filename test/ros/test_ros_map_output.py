@@ -314,6 +314,7 @@ def test_a_pair_that_could_not_be_used_is_a_warning():
         ({"mode": "loop_closure"}, "map_frame belongs to mode pair"),
         ({"publish_tf": True}, "map_frame and publish_tf exclude each other"),
         ({"odom_frame": "map"}, "map_frame and odom_frame have to differ"),
+        ({"sensor_frame": "lidar"}, "map_frame and sensor_frame exclude each other"),
     ],
 )
 def test_what_does_not_go_with_a_map_frame_is_refused_by_name(wanted, named):
