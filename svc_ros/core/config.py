@@ -243,7 +243,7 @@ PRESETS: dict[str, Config] = {
             "scan_matching.keyframe_distance_m": 0.5,
             "loop_closure.keyframe_distance_m": 0.3,
             "loop_closure.max_distance_m": 3.0,
-            "agreement.independent_m": 1.0,
+            "agreement.independent_m": 0.6,
         },
     ),
 }

@@ -42,7 +42,7 @@ class LoopClosureConfig(Group):
 class AgreementConfig(Group):
     """Loops of a run held against each other, and how far odometry is believed for it."""
 
-    drift_m_per_m: float = value(0.03, "odometry's error, one standard deviation, for each metre", "m/m", 1e-4, 1.0)
-    drift_deg_per_m: float = value(0.5, "its error in direction for each metre", "deg/m", 1e-4, 90.0)
-    independent_m: float = value(5.0, "loops between places nearer than this are one piece of evidence", "m", 0.0, 1e4)
-    odometry_failure: float = value(0.001, "how often odometry is wrong by far more than that", "", 1e-9, 0.5)
+    drift_ratio: float = value(0.05, "odometry's error (one sigma) over the length of its way", "", 1e-4, 1.0)
+    drift_deg_per_metre: float = value(1.0, "its error in direction for each metre", "deg/m", 1e-4, 90.0)
+    independent_m: float = value(3.0, "loops between places nearer than this are one piece of evidence", "m", 0.0, 1e4)
+    odometry_failure: float = value(0.01, "how often odometry is wrong by far more than that", "", 1e-9, 0.5)

@@ -11,22 +11,24 @@ from __future__ import annotations
 import dataclasses
 import threading
 from collections.abc import Iterable, Sequence
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from svc_ros.core import se3
 from svc_ros.core.config import Config
 from svc_ros.core.result import Reason, Verdict
 from svc_ros.core.scan import Array
 from svc_ros.io.trajectories import Trajectory
-from svc_ros.pipeline.consistency import PlacedLoop, fit_to_loops, fit_to_odometry
+from svc_ros.pipeline.consistency import PlacedLoop, distance_between, fit_to_loops, fit_to_odometry, ways_of
 from svc_ros.pipeline.stream import StreamDecision, leave_undecided
 
 ORIGIN = "agreement"
-_AGREES, _CONTRADICTS = 16.8, 22.5  # squared error of six degrees of freedom: 99 and 99.9 of 100 right ones are below
+Told = TypeVar("Told", bound=StreamDecision)
+_EXPECTED, _CONTRADICTS = 6.0, 22.5  # squared error of six degrees of freedom; all but one of 1000 right ones are below
 _LEAST_GAIN, _MOST_GAIN = np.log(3.0), np.log(20.0)  # a corridor that repeats has about so many places to be taken for
 _MOST_PIECES = 3  # more evidence than this changes nothing
+_FAILURE_BETWEEN = 0.001  # how often two right loops contradict each other, because odometry between them has failed
 _LEAST_PROBABILITY, _MOST_PROBABILITY = 1e-3, 0.99
 _MAX_LOOPS = 500  # the newest; older ones keep the verdict they have
 _UNSURE_DEG = 1.0  # of the pose of an undecided loop, which comes without a covariance
@@ -49,9 +51,20 @@ class _Loop:
 
 
 @dataclasses.dataclass(frozen=True)
+class _Support:
+    """plain: log odds that loops add which agree; shared: the same where odometry must have failed for all of them;
+    num_pieces: how many of them are independent; has_accepted: one of them was accepted on its pair alone."""
+
+    plain: float
+    shared: float
+    num_pieces: int
+    has_accepted: bool
+
+
+@dataclasses.dataclass(frozen=True)
 class _Opinion:
     log_odds: float
-    num_agreeing: int
+    support: _Support
     is_outweighed: bool
 
 
@@ -95,33 +108,22 @@ class Agreement:
             is_accepted = self._accepts(loop, opinion)
             if is_accepted != loop.is_accepted:
                 loop.is_accepted = is_accepted
-                told.append(dataclasses.replace(self._revised(loop, opinion), origin=ORIGIN))
-        return [*self._first_word(self._loops[-1], opinions[-1]), *told]
+                told.append(dataclasses.replace(_revised(loop.raw, loop, opinion), origin=ORIGIN))
+        return [*self._first_word(decision, self._loops[-1], opinions[-1]), *told]
 
-    def _first_word(self, loop: _Loop, opinion: _Opinion) -> list[StreamDecision]:
+    def _first_word(self, decision: StreamDecision, loop: _Loop, opinion: _Opinion) -> list[StreamDecision]:
         """What is told of the newest loop: where others make an undecided one accepted, both are."""
         loop.is_accepted = self._accepts(loop, opinion)
         if loop.is_accepted and not loop.was_accepted:
-            return [loop.raw, dataclasses.replace(self._revised(loop, opinion), origin=ORIGIN)]
-        agrees_with_nothing = loop.is_contradicted and opinion.num_agreeing == 0
+            return [decision, dataclasses.replace(_revised(loop.raw, loop, opinion), origin=ORIGIN)]
+        agrees_with_nothing = loop.is_contradicted and opinion.support.num_pieces == 0
         if loop.is_accepted or not (loop.was_accepted or agrees_with_nothing):
-            return [loop.raw]
-        return [self._revised(loop, opinion)]
+            return [decision]
+        return [_revised(decision, loop, opinion)]
 
     def _accepts(self, loop: _Loop, opinion: _Opinion) -> bool:
-        has_support = loop.was_accepted or opinion.num_agreeing > 0
+        has_support = loop.was_accepted or opinion.support.has_accepted
         return has_support and opinion.log_odds >= self._wanted
-
-    def _revised(self, loop: _Loop, opinion: _Opinion) -> StreamDecision:
-        """The decision on a loop as the others have it."""
-        result, why = loop.raw.result, _why(loop, opinion)
-        if not loop.is_accepted:
-            return dataclasses.replace(loop.raw, result=leave_undecided(result, Reason.UNCONFIRMED, why))
-        accepted = dataclasses.replace(
-            result, verdict=Verdict.ACCEPTED, reason=Reason.OK, T_target_source=loop.placed.T_target_source,
-            covariance=loop.placed.covariance, detail=f"{why}: {result.detail}",
-        )  # fmt: skip
-        return dataclasses.replace(loop.raw, result=accepted)
 
     # what is known of each loop
 
@@ -133,7 +135,7 @@ class Agreement:
             return None
         if result.verdict not in (Verdict.ACCEPTED, Verdict.UNDECIDED):
             return None
-        ways = _ways(keyframes.poses)
+        ways = ways_of(keyframes.poses)
         source_way, target_way = (ways[np.searchsorted(keyframes.stamps_ns, stamp)] for stamp in ends)
         covariance = self._unsure() if result.covariance is None else result.covariance
         return PlacedLoop(T, covariance, source, target, source_way, target_way)
@@ -155,10 +157,11 @@ class Agreement:
         if others:
             fit = fit_to_loops(placed, others, self._config)
             spread = 2.0 * self._config.loop_closure.max_distance_m
-            gain = np.log(spread / (np.sqrt(2.0 * np.pi) * fit.sigma_m)) - 0.5 * (fit.offset_m / fit.sigma_m) ** 2
-            gain = np.where((fit.sq_error <= _AGREES) & (gain >= _LEAST_GAIN), np.minimum(gain, _MOST_GAIN), 0.0)
+            gain = np.minimum(np.log(spread / (np.sqrt(2.0 * np.pi) * fit.sigma_m)), _MOST_GAIN)
+            gain -= 0.5 * np.maximum(fit.sq_error - _EXPECTED, 0.0)
+            gain = np.where(gain >= _LEAST_GAIN, gain, 0.0)
             contradicts = fit.sq_error > _CONTRADICTS
-            is_same = _apart(placed, others) < self._config.agreement.independent_m
+            is_same = distance_between(placed, others) < self._config.agreement.independent_m
         self._gain = _grown(self._gain, gain)
         self._contradicts, self._is_same = _grown(self._contradicts, contradicts), _grown(self._is_same, is_same)
         if len(self._loops) > _MAX_LOOPS:
@@ -169,26 +172,50 @@ class Agreement:
     # what the others make of it
 
     def _weigh(self) -> list[_Opinion]:
-        """An opinion on each loop: the surest first, each of the others against those of them that it contradicts."""
+        """An opinion on each loop: the largest sets first, each loop against those of them that it contradicts."""
         support = [self._support(i) for i in range(len(self._loops))]
-        alone = [self._odds(loop, *s) for loop, s in zip(self._loops, support, strict=True)]
+        alone = [self._odds(loop, s) for loop, s in zip(self._loops, support, strict=True)]
+        weights = self._weights(alone)
         sure: list[int] = []
         opinions: dict[int, _Opinion] = {}
-        for i in sorted(range(len(alone)), key=lambda i: -alone[i]):
-            loop, (plain, _, num) = self._loops[i], support[i]
+        for i in sorted(range(len(alone)), key=lambda i: (-weights[i], -alone[i])):
+            loop, odds = self._loops[i], alone[i]
             against = [alone[j] for j in sure if self._contradicts[i, j]]
-            odds = alone[i]
             if against:
-                doubt = np.log(self._failure + (1.0 - self._failure) * _probability(-max(against)))
-                odds = min(odds, loop.log_odds + plain + min(float(doubt), self._penalty(loop)))
-            opinions[i] = _Opinion(odds, num, bool(against) and odds < self._wanted <= alone[i])
+                # What fools one loop may fool its neighbours: against surer ones they all are one piece of evidence.
+                doubt = np.log(_FAILURE_BETWEEN + (1.0 - _FAILURE_BETWEEN) * _probability(-max(against)))
+                odds = min(odds, loop.log_odds + min(support[i].plain, _MOST_GAIN) + float(doubt))
+            opinions[i] = _Opinion(odds, support[i], bool(against))
             if self._accepts(loop, opinions[i]):
                 sure.append(i)
         return [opinions[i] for i in range(len(alone))]
 
-    def _support(self, i: int) -> tuple[float, float, int]:
-        """Log odds that independent loops add, the same where odometry must have failed for all of them at once, and
-        how many pieces of evidence there are."""
+    def _weights(self, alone: Sequence[float]) -> NDArray[np.float64]:
+        """(L,), of each loop the weight of a set that it belongs to, in which no two contradict each other and each
+        agrees with another one; loops between the same places weigh once."""
+        weights = np.zeros(len(alone))
+        chances = np.array([_probability(loop.log_odds) for loop in self._loops])
+        for seed in sorted(range(len(alone)), key=lambda i: -alone[i]):
+            if weights[seed] > 0.0:
+                continue
+            members, is_free = [seed], ~self._contradicts[seed]
+            is_free[seed] = False
+            gain = np.where(is_free, self._gain[seed], 0.0)
+            while gain.max() > 0.0:
+                best = int(np.argmax(gain * chances))
+                members.append(best)
+                is_free &= ~self._contradicts[best]
+                is_free[best] = False
+                gain = np.where(is_free, np.maximum(gain, self._gain[best]), 0.0)
+            counted: list[int] = []
+            for j in sorted(members, key=lambda j: -chances[j]):
+                if not self._is_same[j, counted].any():
+                    counted.append(j)
+            weights[members] = np.maximum(weights[members], chances[counted].sum())
+        return weights
+
+    def _support(self, i: int) -> _Support:
+        """What independent loops say for one."""
         partners = np.flatnonzero((self._gain[i] > 0.0) & ~self._is_same[i])
         chances = {j: _probability(self._loops[j].log_odds) for j in partners.tolist()}
         worth = {j: float(np.log(p * np.exp(self._gain[i, j]) + 1.0 - p)) for j, p in chances.items()}
@@ -198,47 +225,50 @@ class Agreement:
                 pieces.append(j)
         plain = sum(worth[j] for j in pieces)
         shared = plain - sum(float(np.log(1.0 - chances[j] + chances[j] * self._failure)) for j in pieces)
-        return plain, shared, len(pieces)
+        return _Support(plain, shared, len(pieces), any(self._loops[j].was_accepted for j in pieces))
 
-    def _odds(self, loop: _Loop, plain: float, shared: float, _num: int) -> float:
-        return loop.log_odds + self._penalty(loop) + (shared if loop.is_contradicted else plain)
+    def _odds(self, loop: _Loop, support: _Support) -> float:
+        """With the word of odometry, which where it failed did so for all loops at once."""
+        if loop.is_contradicted:
+            return loop.log_odds + float(np.log(self._failure)) + support.shared
+        return loop.log_odds + support.plain
 
-    def _penalty(self, loop: _Loop) -> float:
-        return float(np.log(self._failure)) if loop.is_contradicted else 0.0
+
+def _revised(decision: StreamDecision, loop: _Loop, opinion: _Opinion) -> StreamDecision:
+    """The decision on a loop as the others have it."""
+    result, why = decision.result, _why(loop, opinion)
+    if not loop.is_accepted:
+        return dataclasses.replace(decision, result=leave_undecided(result, Reason.UNCONFIRMED, why))
+    accepted = dataclasses.replace(
+        result, verdict=Verdict.ACCEPTED, reason=Reason.OK, T_target_source=loop.placed.T_target_source,
+        covariance=loop.placed.covariance, detail=f"{why}: {result.detail}",
+    )  # fmt: skip
+    return dataclasses.replace(decision, result=accepted)
 
 
 def _why(loop: _Loop, opinion: _Opinion) -> str:
-    others = f"{opinion.num_agreeing} independent loop{'s' if opinion.num_agreeing != 1 else ''}"
+    others = f"{opinion.support.num_pieces} independent loop{'s' if opinion.support.num_pieces != 1 else ''}"
     if loop.is_accepted:
-        return f"confirmed by {others}" if opinion.num_agreeing else "no longer contradicted by surer loops"
+        return f"confirmed by {others}" if opinion.support.num_pieces else "no longer contradicted by surer loops"
     speaks = {"odometry": loop.is_contradicted, "surer loops": opinion.is_outweighed}
     witnesses = [name for name, against in speaks.items() if against]
     against = f"contradicted by {' and '.join(witnesses)}" if witnesses else "no longer confirmed"
-    return f"{against}, and {others if opinion.num_agreeing else 'no independent loop'} agrees with it"
+    return f"{against}, and {others if opinion.support.num_pieces else 'no independent loop'} agrees with it"
 
 
-def last_words(decisions: Iterable[StreamDecision]) -> list[StreamDecision]:
-    """Of decisions in their order, the last one on each pair, in the order of the first ones."""
-    last = {(d.source_stamp_ns, d.target_stamp_ns): d for d in decisions}
-    return list(last.values())
+def pair_of(decision: StreamDecision) -> tuple[int, int]:
+    """Which pair of scans a decision is on."""
+    return decision.source_stamp_ns, decision.target_stamp_ns
 
 
-def _ways(poses: Array) -> Array:
-    """(N, 2): how far the sensor had come [m] and turned [rad] at each of its poses (N, 4, 4)."""
-    steps = se3.invert(poses[:-1]) @ poses[1:]
-    moved = np.linalg.norm(steps[:, :3, 3], axis=1)
-    turned = np.radians(se3.rotation_angle_deg(steps[:, :3, :3]))
-    return np.concatenate([np.zeros((1, 2)), np.cumsum(np.stack([moved, turned], axis=1), axis=0)])
-
-
-def _apart(this: PlacedLoop, others: Sequence[PlacedLoop]) -> Array:
-    """(L,) [m], how far the places of loops are from those of this one, at the end where that is more."""
-    ends = ("T_odom_source", "T_odom_target")
-    each = [
-        np.linalg.norm(np.array([getattr(loop, e)[:3, 3] for loop in others]) - getattr(this, e)[:3, 3], axis=1)
-        for e in ends
-    ]
-    return np.asarray(np.maximum(*each))
+def last_words(decisions: Iterable[Told]) -> list[Told]:
+    """The decisions without those on a pair of which there is a new word."""
+    last: list[Told] = []
+    for decision in decisions:
+        if decision.origin == ORIGIN:
+            last = [earlier for earlier in last if pair_of(earlier) != pair_of(decision)]
+        last.append(decision)
+    return last
 
 
 def _square(kind: type) -> NDArray[np.generic]:

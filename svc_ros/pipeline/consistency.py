@@ -17,6 +17,7 @@ from svc_ros.core import se3
 from svc_ros.core.config import Config
 from svc_ros.core.scan import Array
 
+_STEADY_M = 20.0  # an error that grows evenly so far goes on like a random walk
 _TURN_DRIFT = 0.02  # of an angle that odometry has turned by, the share that may be wrong
 
 
@@ -38,11 +39,10 @@ class PlacedLoop:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """sq_error: (L,), squared error over its covariance, six degrees of freedom; offset_m, sigma_m: (L,), along the
-    direction in which least is known, the error and its standard deviation."""
+    """sq_error: (L,), squared error over its covariance, six degrees of freedom; sigma_m: (L,), standard deviation
+    along the direction in which least is known."""
 
     sq_error: Array
-    offset_m: Array
     sigma_m: Array
 
 
@@ -72,13 +72,30 @@ def fit_to_odometry(this: PlacedLoop, config: Config) -> Fit:
     return _fit(predicted[None], this.T_target_source, drift + _own_covariance(this))
 
 
+def ways_of(poses: Array) -> Array:
+    """(N, 2): how far the sensor had come [m] and turned [rad] at each of its poses (N, 4, 4)."""
+    steps = se3.invert(poses[:-1]) @ poses[1:]
+    moved = np.linalg.norm(steps[:, :3, 3], axis=1)
+    turned = np.radians(se3.rotation_angle_deg(steps[:, :3, :3]))
+    return np.concatenate([np.zeros((1, 2)), np.cumsum(np.stack([moved, turned], axis=1), axis=0)])
+
+
+def distance_between(this: PlacedLoop, others: Sequence[PlacedLoop]) -> Array:
+    """(L,) [m], how far the places of loops are from those of this one, at the end where that is more."""
+    ends = ("T_odom_source", "T_odom_target")
+    each = [
+        np.linalg.norm(np.array([getattr(loop, e)[:3, 3] for loop in others]) - getattr(this, e)[:3, 3], axis=1)
+        for e in ends
+    ]
+    return np.asarray(np.maximum(*each))
+
+
 def _fit(predicted: Array, T: Array, covariance: Array) -> Fit:
     shift = predicted[:, :3, 3] - T[:3, 3]
     turn = Rotation.from_matrix(predicted[:, :3, :3] @ T[:3, :3].T).as_rotvec()
     error = np.concatenate([shift, turn], axis=1)
     sq_error = np.einsum("li,li->l", error, np.linalg.solve(covariance, error[..., None])[..., 0])
-    variances, directions = np.linalg.eigh(covariance[:, :3, :3])
-    return Fit(sq_error, np.einsum("li,li->l", shift, directions[:, :, -1]), np.sqrt(variances[:, -1]))
+    return Fit(sq_error, np.sqrt(np.linalg.eigvalsh(covariance[:, :3, :3])[:, -1]))
 
 
 def _own_covariance(loop: PlacedLoop) -> Array:
@@ -99,10 +116,11 @@ def _drift(ways: Array, arm_m: Array, config: Config) -> Array:
     """Covariance (L, 6, 6) of odometry over ways (L, 2) [m, rad], seen `arm_m` (L,) from their end."""
     limits, floor = config.agreement, config.covariance
     length, turned = ways.T
+    steady = np.minimum(length, np.sqrt(length * _STEADY_M))
     has_moved: NDArray[np.bool_] = length + turned > 0.0
-    turn = np.radians(has_moved * floor.floor_rotation_deg + limits.drift_deg_per_m * length) + _TURN_DRIFT * turned
+    turn = np.radians(has_moved * floor.floor_rotation_deg + limits.drift_deg_per_metre * steady) + _TURN_DRIFT * turned
     # A turn that grows along the way moves its end by half of it times the way.
-    shift = has_moved * floor.floor_translation_m + limits.drift_m_per_m * length
+    shift = has_moved * floor.floor_translation_m + limits.drift_ratio * steady
     variance = shift**2 + (turn * (arm_m + 0.5 * length)) ** 2
     covariance = np.zeros((len(ways), 6, 6))
     covariance[:, [0, 1, 2], [0, 1, 2]] = variance[:, None]
