@@ -17,6 +17,7 @@ from svc_ros.core import se3
 from svc_ros.core.errors import MissingDependencyError
 from svc_ros.core.scan import Array
 from svc_ros.io.g2o import GraphEdge, PoseGraph, adjoint
+from svc_ros.io.trajectories import Trajectory
 
 _MAX_ITERATIONS, _TOLERANCE = 100, 1e-9
 _TURNS_FIRST = np.array([3, 4, 5, 0, 1, 2])  # gtsam's order; taken twice it is the order it was
@@ -64,6 +65,19 @@ def optimise(graph: PoseGraph) -> OptimisedGraph:
             on_the_right = marginals.marginalCovariance(vertex)[np.ix_(_TURNS_FIRST, _TURNS_FIRST)]
             covariances[vertex] = to_world @ on_the_right @ to_world.T
     return OptimisedGraph(poses, covariances)
+
+
+def correct_trajectory(odometry: Trajectory, keyframes: Trajectory, optimised: OptimisedGraph) -> Trajectory:
+    """The poses of odometry with what optimising changed of the keyframes, which are the graph's vertices.
+
+    Between two keyframes the change is interpolated, before the first and after the last one it is theirs.
+    """
+    if len(keyframes) == 0:
+        return odometry
+    changes = Trajectory(keyframes.stamps_ns, se3.invert(keyframes.poses) @ optimised.poses)
+    within = np.clip(odometry.stamps_ns, keyframes.stamps_ns[0], keyframes.stamps_ns[-1])
+    poses = [T @ changes.at(int(stamp)) for T, stamp in zip(odometry.poses, within, strict=True)]
+    return Trajectory(odometry.stamps_ns, np.array(poses).reshape(-1, 4, 4))
 
 
 @functools.cache
