@@ -10,7 +10,7 @@ from svc_ros.core.errors import MissingDependencyError
 from svc_ros.evaluation.bag_reference import Reference
 from svc_ros.io.g2o import PoseGraph
 from svc_ros.io.trajectories import Trajectory, write_tum
-from svc_ros.pipeline.graph_optimisation import correct_trajectory, optimise
+from svc_ros.pipeline.graph_optimisation import correct_trajectory, optimise_poses
 from svc_ros.replay.summary import trajectory_numbers
 
 
@@ -40,7 +40,7 @@ class OptimisedWay:
 def optimise_way(odometry: Trajectory, keyframes: Trajectory, graph: PoseGraph) -> OptimisedWay:
     """odometry: of all scans; graph: of the keyframes, with loops."""
     try:
-        found = optimise(graph)
+        found = optimise_poses(graph)
     except MissingDependencyError as error:
         return OptimisedWay(None, str(error))
     return OptimisedWay(correct_trajectory(odometry, keyframes, found))

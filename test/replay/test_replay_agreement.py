@@ -116,7 +116,7 @@ def test_without_gtsam_a_note_says_so(bag: Path, tmp_path: Path, monkeypatch: py
     def missing(graph: object) -> None:
         raise MissingDependencyError("optimising needs gtsam")
 
-    monkeypatch.setattr(optimised, "optimise", missing)
+    monkeypatch.setattr(optimised, "optimise_poses", missing)
     summary = replay_bag(job(bag, tmp_path, "loop_closure", odometry_frame="odom"))
     assert summary["optimized"] == {"note": "optimising needs gtsam"}
     assert summary["state"] == "complete"
