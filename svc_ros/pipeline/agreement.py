@@ -29,7 +29,7 @@ Told = TypeVar("Told", bound=StreamDecision)
 _MOST_PIECES = 3  # more evidence than this changes nothing
 _FAILURE_BETWEEN = 0.001  # how often two right loops contradict each other, because odometry between them has failed
 _SHARES = (0.1, 0.3, 1.0)  # of the drift that is possible: most odometry is better, and tells wrong loops better then
-_AS_WELL, _MANY = 0.8, 4.0  # of the weight of the loops that agree; with fewer than so many nobody knows
+_AS_WELL, _MANY = 0.7, 4.0  # of the weight of the loops that agree; with fewer than so many nobody knows
 _LEAST_PROBABILITY, _MOST_PROBABILITY = 1e-3, 0.99
 _MAX_LOOPS = 500  # the newest; older ones keep the verdict they have
 _UNSURE_DEG = 1.0  # of the pose of an undecided loop, which comes without a covariance
