@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,8 @@ STAMPS = [START_NS + k * STEP_NS for k in range(len(WAY))]
 MOUNTING = se3.make_pose(Rotation.from_euler("z", 20, degrees=True).as_matrix(), (0.3, 0.0, 1.2))
 OUTPUTS = {"decisions.jsonl", "trajectory_tum.txt", "loops.g2o", "results.mcap", "config.yaml", "summary.json"}
 
-OUTPUTS_OF = {mode: OUTPUTS | ({"trajectory_optimized_tum.txt"} if mode == "loop_closure" else set()) for mode in MODES}
+OPTIMIZED = {"trajectory_optimized_tum.txt"} if importlib.util.find_spec("gtsam") else set()  # needs an extra
+OUTPUTS_OF = {mode: OUTPUTS | (OPTIMIZED if mode == "loop_closure" else set()) for mode in MODES}
 
 
 def write_room_bag(path: Path, broken: tuple[int, ...] = ()) -> Path:
