@@ -15,6 +15,7 @@ from svc_ros.core.config import Config
 from svc_ros.core.scan import Array, IndexArray
 from svc_ros.io.maps.layout import MapGraph, Session
 from svc_ros.io.maps.reading import MapFiles, check_preprocess
+from svc_ros.io.maps.writing import MapWriter
 from svc_ros.pipeline.keyframes import Keyframe
 from svc_ros.pipeline.place import PlaceLook
 from svc_ros.pipeline.place_search import PlaceIndex
@@ -44,6 +45,11 @@ class Map:
 
     def __len__(self) -> int:
         return len(self._files.graph.poses)
+
+    @property
+    def folder(self) -> Path:
+        """Where its files are."""
+        return self._files.folder
 
     @property
     def config(self) -> Config:
@@ -82,7 +88,7 @@ class Map:
 
     def check_fits(self, config: Config) -> None:
         """Raise InputError unless that configuration prepares scans as the map's own does."""
-        check_preprocess(self._files.folder, config.preprocess, dataclasses.asdict(self.config.preprocess))
+        check_preprocess(self.folder, config.preprocess, dataclasses.asdict(self.config.preprocess))
 
     def keyframe(self, index: int) -> Keyframe:
         """One keyframe. Raises InputError where its part of the files is broken."""
@@ -105,6 +111,13 @@ class Map:
     def similar(self, look: PlaceLook, most: int) -> list[tuple[int, float]]:
         """At most so many keyframes whose places look most like this one, and how alike in [0, 1], best first."""
         return self._index.most_alike(look, most)
+
+    def copy_into(self, writer: MapWriter, first_session: int) -> None:
+        """Write all keyframes into another map, as runs of numbers from `first_session` on."""
+        for index in range(len(self)):
+            with self._lock:
+                scan = self._files.scan(index)
+            writer.add(scan, self._files.looks[index], first_session + int(self.sessions[index]))
 
     def close(self) -> None:
         """Give the files back; keyframes that are held stay usable."""

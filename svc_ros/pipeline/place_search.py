@@ -7,8 +7,6 @@ turn can reach, so that the turn itself is looked for only where that could stil
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft
@@ -67,11 +65,6 @@ class PlaceIndex:
         likeness[rest] = _best_turn(cross, rest)
         order = np.argsort(-likeness, kind="stable")[:most]
         return [(int(k), float(likeness[k])) for k in order if likeness[k] >= max(least, 0.0)]
-
-
-def stacked_looks(looks: Sequence[PlaceLook]) -> Spectra:
-    """Looks as the index keeps them: (N, rings, frequencies)."""
-    return np.array([look.spectrum for look in looks], np.complex64).reshape(-1, *LOOK_SHAPE)
 
 
 def _correlated(look: PlaceLook, spectra: Spectra) -> tuple[Spectra, NDArray[np.float32]]:

@@ -6,12 +6,12 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from place_looks import mixed_look
+from place_looks import mixed_look, stacked_looks
 from yardstick import Stopwatch
 
 from svc_ros.core.parallel import limit_threads
 from svc_ros.pipeline.place import PlaceLook, compare_places
-from svc_ros.pipeline.place_search import PlaceIndex, stacked_looks
+from svc_ros.pipeline.place_search import PlaceIndex
 
 SINGLE = 1e-5  # likeness in single precision
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -20,6 +21,11 @@ def room_counts() -> tuple[np.ndarray, ...]:
     """What a sensor sees around itself from each stand, ring by ring, with the spectrum's own scale."""
     scans = (prepare(Scan(scan_room(sensor_pose(x, y, 0.0))), preset("lidar_indoor")) for x, y in STANDS)
     return tuple(np.fft.irfft(look_at_place(scan).spectrum, n=NUM_SECTORS, axis=1) for scan in scans)
+
+
+def stacked_looks(looks: Sequence[PlaceLook]) -> np.ndarray:
+    """Looks as an index takes them: (N, rings, frequencies)."""
+    return np.array([look.spectrum for look in looks], np.complex64)
 
 
 def mixed_look(rng: np.random.Generator) -> PlaceLook:
