@@ -7,7 +7,7 @@ comes with it is verified, and if that is not accepted the two scans are registe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +22,7 @@ from svc_ros.core.scan import Array, Scan
 from svc_ros.io.trajectories import Trajectory
 from svc_ros.pipeline.decide import refused, register_pair
 from svc_ros.pipeline.keyframes import Keyframe, KeyframeStore
-from svc_ros.pipeline.place import compare_places
+from svc_ros.pipeline.place_search import most_alike
 from svc_ros.pipeline.stream import StampOrder, StreamDecision, answer_or_refuse, decide_in_order, demand
 
 Judge = Callable[[Keyframe, Keyframe, Array | None, Config], RegistrationResult]
@@ -171,14 +171,12 @@ class LoopCloser:
         found.sort(key=lambda pair: pair[0])
         return [candidate for _, candidate in found[: limits.max_near]]
 
-    def _similar(self, this: Keyframe, old: Iterable[Keyframe]) -> list[LoopCandidate]:
+    def _similar(self, this: Keyframe, old: Sequence[Keyframe]) -> list[LoopCandidate]:
         """Those of the keyframes whose places look most like this one."""
         limits = self._config.loop_closure
-        if limits.max_similar == 0:
-            return []
-        found = [(compare_places(this.look, keyframe.look)[0], keyframe) for keyframe in old]
-        found = sorted((pair for pair in found if pair[0] >= limits.min_similarity), key=lambda pair: -pair[0])
-        return [LoopCandidate(keyframe, None, "place") for _, keyframe in found[: limits.max_similar]]
+        looks = [keyframe.look for keyframe in old] if limits.max_similar else []
+        found = most_alike(this.look, looks, limits.max_similar, limits.min_similarity)
+        return [LoopCandidate(old[k], None, "place") for k, _ in found]
 
     def _judge(self, this: Keyframe, candidate: LoopCandidate) -> StreamDecision:
         with candidate.target.lent() as lent:
