@@ -5,8 +5,9 @@
 Walks and drives that come back, recorded and simulated, one after the other as one sequence for each preset: each scan
 is asked for among all before it that are MIN_GAP_S older, those of other drives too. It is found if one of the first k
 stands within a few metres of it. PYTHON names an interpreter with map-closures (default: this one; without it, ours
-alone). map-closures is made for local maps: it gets single scans, and local maps of 5 and 10 scans laid together by
-their true poses, of which the last is the one that is asked for; ours sees single scans only. Writes place-search.json.
+alone). map-closures is made for local maps: it gets single scans, and local maps of the last 5 and 10 scans, laid
+together by their true poses as its own pipeline does it, at three resolutions; ours sees single scans only.
+Writes place-search.json.
 """
 
 from __future__ import annotations
@@ -19,13 +20,13 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from lib.common import console, describe_run, parse_options, print_table, write_report
 
-from svc_ros.core import se3
 from svc_ros.core.config import preset
 from svc_ros.core.registration import prepare
 from svc_ros.core.scan import Array, Scan
@@ -137,27 +138,21 @@ def peers(
 ) -> dict[str, dict[str, float]]:
     """map-closures with local maps of several sizes and resolutions."""
     rows = {}
-    for size in LOCAL_MAPS:
-        maps = [local_map(sequence, number, size) for number in range(len(sequence))]
-        for resolution in RESOLUTIONS_M[preset_name]:
-            with tempfile.TemporaryDirectory() as folder:
-                path = Path(folder) / "maps.npz"
-                np.savez(path, points=np.concatenate(maps), ends=np.cumsum([len(points) for points in maps]))
-                done = subprocess.run(
-                    [python, str(PEER), str(path), str(resolution), str(len(sequence))],
-                    stdout=subprocess.PIPE, text=True, check=True,
-                )  # fmt: skip
+    drive_names = sorted({seen.drive for seen in sequence})
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "scans.npz"
+        np.savez(
+            path, points=np.concatenate([seen.scan.points for seen in sequence]).astype(np.float32),
+            ends=np.cumsum([len(seen.scan) for seen in sequence]), poses=np.array([seen.T for seen in sequence]),
+            drives=np.array([drive_names.index(seen.drive) for seen in sequence]),
+        )  # fmt: skip
+        for size, resolution in product(LOCAL_MAPS, RESOLUTIONS_M[preset_name]):
+            words = [python, str(PEER), str(path), str(resolution), str(size), str(len(sequence))]
+            done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True)
             told = json.loads(done.stdout)
             label = f"map-closures, {size} scan{'s' * (size > 1)}, {resolution:g} m"
             rows[label] = recalls(sequence, wanted, dict(enumerate(told["found"])), told["ms"])
     return rows
-
-
-def local_map(sequence: Sequence[Seen], number: int, size: int) -> Array:
-    """Points (P, 3) [m] of the last scans of the same drive, in the frame of the last one."""
-    last = sequence[number]
-    used = [seen for seen in sequence[max(number - size + 1, 0) : number + 1] if seen.drive == last.drive]
-    return np.concatenate([se3.apply(se3.invert(last.T) @ seen.T, seen.scan.points) for seen in used])
 
 
 def recalls(

@@ -16,8 +16,8 @@ from svc_ros.core.config import Config, preset, with_values
 from svc_ros.core.errors import InputError
 from svc_ros.core.scan import Scan
 from svc_ros.pipeline.map import Map
-from svc_ros.pipeline.map_building import Run, build_map
-from svc_ros.pipeline.map_joining import JoiningLoop, largest_agreement
+from svc_ros.pipeline.mapping.building import Run, build_map
+from svc_ros.pipeline.mapping.joining import JoiningLoop, largest_agreement
 
 pytest.importorskip("gtsam", reason="gtsam not installed: pip install 'svc_ros[graph]'")
 
