@@ -28,7 +28,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("config") / "mine.yaml"
-    changes = {"loop_closure.keyframe_distance_m": 0.2}
+    changes = {"loop_closure.keyframe_distance_m": 0.2, "agreement.independent_m": 0.3}
     path.write_text(config_to_yaml(with_values(preset("lidar_indoor"), changes), "lidar_indoor"))
     return path
 

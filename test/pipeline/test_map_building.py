@@ -15,9 +15,10 @@ from svc_ros.core import se3
 from svc_ros.core.config import Config, preset, with_values
 from svc_ros.core.errors import InputError
 from svc_ros.core.scan import Scan
+from svc_ros.pipeline.consistency import PlacedLoop, ways_of
 from svc_ros.pipeline.map import Map
 from svc_ros.pipeline.mapping.building import Run, build_map
-from svc_ros.pipeline.mapping.joining import JoiningLoop, largest_agreement
+from svc_ros.pipeline.mapping.joining import largest_agreement
 
 pytest.importorskip("gtsam", reason="gtsam not installed: pip install 'svc_ros[graph]'")
 
@@ -94,7 +95,7 @@ def test_several_runs_become_one_map(tmp_path: Path) -> None:
 
 
 def test_a_run_of_another_place_is_not_joined(there: Map, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"elsewhere: expected at least 2 loops with there .* are not joined"):
+    with pytest.raises(InputError, match=r"elsewhere: expected at least two loops with there .* are not joined"):
         build_map([other_building("elsewhere", 3)], tmp_path / "map", there)
     assert list(tmp_path.iterdir()) == []
 
@@ -102,7 +103,7 @@ def test_a_run_of_another_place_is_not_joined(there: Map, tmp_path: Path) -> Non
 def test_one_place_alone_joins_nothing(there: Map, tmp_path: Path) -> None:
     """Two scans of one spot are one piece of evidence."""
     spot = [BACK[1], BACK[1] @ sensor_pose(0, 0, 60) @ se3.make_pose(np.eye(3), (0, 0, -1.2))]
-    with pytest.raises(InputError, match="spot: expected at least 2 loops with there from different places"):
+    with pytest.raises(InputError, match="spot: expected at least two loops with there from different places"):
         build_map([run("spot", spot, 100)], tmp_path / "map", there)
 
 
@@ -112,21 +113,25 @@ def test_keyframes_of_another_kind_are_not_joined(there: Map, tmp_path: Path) ->
         build_map([run("back", BACK, 100, other)], tmp_path / "map", there)
 
 
-def loop(source: int, target: int, slip_m: float = 0.0) -> JoiningLoop:
-    """Between a way along x and the same way, exact but for a slip along it."""
-    T = se3.make_pose(np.eye(3), (float(source - target) + slip_m, 0.0, 0.0))
-    return JoiningLoop(source, target, T, np.diag([1e-4] * 3 + [1e-6] * 3))
+STRAIGHT = np.array([se3.make_pose(np.eye(3), (float(x), 0.0, 0.0)) for x in range(12)])
+
+
+def loop(source: int, target: int, slip_m: float = 0.0, turn: np.ndarray | None = None) -> PlacedLoop:
+    """Between a way along x and the same way, exact but for a slip along it, or a turn."""
+    T = se3.make_pose(np.eye(3) if turn is None else turn, (float(source - target) + slip_m, 0.0, 0.0))
+    ways = ways_of(STRAIGHT)
+    covariance = np.diag([1e-4] * 3 + [1e-6] * 3)
+    return PlacedLoop(T, covariance, STRAIGHT[source], STRAIGHT[target], ways[source], ways[target])
 
 
 def test_loops_that_say_the_same_are_told_from_others() -> None:
-    way = np.array([se3.make_pose(np.eye(3), (float(x), 0.0, 0.0)) for x in range(12)])
     right = [loop(1, 0), loop(4, 4, 0.01), loop(9, 10, -0.02)]
-    wrong = [loop(2, 2, 3.0), loop(3, 8, -2.0), loop(6, 5, 2.9), loop(8, 8, 9.0)]
+    wrong = [loop(2, 2, 3.0), loop(3, 8, -2.0), loop(6, 5, 5.0), loop(8, 8, 9.0)]
     mixed = [wrong[0], right[0], wrong[1], right[1], wrong[2], right[2], wrong[3]]
-    assert largest_agreement(mixed, way, way) == right
-    assert largest_agreement([], way, way) == []
-    turned = JoiningLoop(4, 4, se3.make_pose([[0, -1, 0], [1, 0, 0], [0, 0, 1]], np.zeros(3)), right[0].covariance)
-    assert largest_agreement([*right[:2], turned], way, way) == right[:2]
+    assert largest_agreement(mixed, CONFIG) == [1, 3, 5]
+    assert largest_agreement([], CONFIG) == []
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    assert largest_agreement([*right[:2], loop(4, 4, turn=quarter)], CONFIG) == [0, 1]
 
 
 @pytest.mark.parametrize(
