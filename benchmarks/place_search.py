@@ -5,8 +5,8 @@
 Walks and drives that come back, recorded and simulated, one after the other as one sequence for each preset: each scan
 is asked for among all before it that are MIN_GAP_S older, those of other drives too. It is found if one of the first k
 stands within a few metres of it. PYTHON names an interpreter with map-closures (default: this one; without it, ours
-alone). map-closures is made for local maps: it gets single scans, and local maps of the last 5 and 10 scans, laid
-together by their true poses as its own pipeline does it, at three resolutions; ours sees single scans only.
+alone). map-closures is made for local maps: it gets single scans, and local maps of the last 10 scans, laid
+together by their true poses as its own pipeline does it, at two resolutions; ours sees single scans only.
 Writes place-search.json.
 """
 
@@ -37,10 +37,11 @@ from svc_ros.pipeline.place_search import PlaceIndex
 from svc_ros.simulation import DriveConfig, drive_scans
 
 NEAR_M = {"lidar_indoor": 2.0, "lidar_outdoor": 5.0}  # so near it is the same place
-RESOLUTIONS_M = {"lidar_indoor": (0.1, 0.25, 0.5), "lidar_outdoor": (0.25, 0.5, 1.0)}  # of map-closures; its own is 0.5
+RESOLUTIONS_M = {"lidar_indoor": (0.1, 0.5), "lidar_outdoor": (0.5, 1.0)}  # of map-closures; its own is 0.5
 MIN_GAP_S = 10.0
 FIRST = (1, 5, 10)
-LOCAL_MAPS = (1, 5, 10)  # scans in each
+LOCAL_MAPS = (1, 10)  # scans in each
+MOST = 40  # that the peer is asked for, of which some are too young to count
 SEEDS = (0, 1)
 DRIVES = (("street", "OS1-64", "lidar_outdoor"), ("street", "VLP-16", "lidar_outdoor"),
           ("indoor", "OS0-64", "lidar_indoor"), ("corridor_features", "OS0-64", "lidar_indoor"))  # fmt: skip
@@ -147,7 +148,7 @@ def peers(
             drives=np.array([drive_names.index(seen.drive) for seen in sequence]),
         )  # fmt: skip
         for size, resolution in product(LOCAL_MAPS, RESOLUTIONS_M[preset_name]):
-            words = [python, str(PEER), str(path), str(resolution), str(size), str(len(sequence))]
+            words = [python, str(PEER), str(path), str(resolution), str(size), str(MOST)]
             done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True)
             told = json.loads(done.stdout)
             label = f"map-closures, {size} scan{'s' * (size > 1)}, {resolution:g} m"

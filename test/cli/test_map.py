@@ -13,7 +13,9 @@ from replay_cases import WAY, write_room_bag
 from svc_ros.core import se3
 from svc_ros.core.config import preset, with_values
 from svc_ros.io.config_yaml import config_to_yaml
+from svc_ros.io.trajectories import read_tum
 from svc_ros.pipeline.map import Map
+from svc_ros.simulation import DriveConfig, simulate_drive
 
 pytest.importorskip("gtsam", reason="gtsam not installed: pip install 'svc_ros[graph]'")
 
@@ -78,3 +80,36 @@ def test_a_map_that_is_extended_has_its_own_preset(bag: Path, config: Path, tmp_
     other = tmp_path / "other.yaml"
     other.write_text("preprocess: {voxel_size_m: 0.2}")
     assert_refused(run("map", bag, *extended, "--config", other), "preprocess.voxel_size_m 0.3", "found 0.2")
+
+
+def assert_as_the_reference(found: Map, reference: Path, m: float) -> None:
+    """Each pose as the reference has it, both relative to the first one."""
+    truth = read_tum(reference)
+    begin = se3.invert(truth.at(int(found.stamps_ns[0])))
+    for stamp_ns, T in zip(found.stamps_ns.tolist(), found.poses, strict=True):
+        assert_same_pose(se3.invert(found.poses[0]) @ T, begin @ truth.at(stamp_ns), 2.0, m)
+
+
+@pytest.mark.slow
+def test_both_halves_of_a_walk_become_one_map(shared_data: Path, tmp_path: Path) -> None:
+    walk = shared_data / "bags" / "os0_64_walk"
+    first = run("map", walk / "ros2_mcap", "--out", tmp_path / "first", "--duration", "44")
+    assert first.exit_code == 0, first.output
+    assert_as_the_reference(Map.read(tmp_path / "first"), walk / "reference_tum.txt", 0.1)
+    second = run("map", walk / "ros2_mcap", "--out", tmp_path / "both", "--start", "44", "--extend", tmp_path / "first")
+    assert second.exit_code == 0, second.output
+    both = Map.read(tmp_path / "both")
+    assert both.config.preprocess == preset("lidar_indoor").preprocess
+    assert_as_the_reference(both, walk / "reference_tum.txt", 0.1)
+    assert sum(both.sessions[edge.source] != both.sessions[edge.target] for edge in both.graph.edges) >= 10
+
+
+@pytest.mark.slow
+def test_a_simulated_street_becomes_a_map(tmp_path: Path) -> None:
+    drive = simulate_drive(tmp_path, DriveConfig(num_scans=16, rate_hz=0.5, seed=3, there_and_back=True))
+    done = run("map", drive.bag, "--out", tmp_path / "map", "--preset", "lidar_outdoor")
+    assert done.exit_code == 0, done.output
+    found = Map.read(tmp_path / "map")
+    assert len(found) >= 12
+    assert len(found.graph.edges) > len(found)
+    assert_as_the_reference(found, drive.reference, 0.15)
