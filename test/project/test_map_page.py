@@ -11,8 +11,8 @@ from places import PROJECT_ROOT
 from svc_ros.io.maps.layout import ARRAYS, file_name
 
 SIZES = (
-    "keyframes", "points", "size_mb", "read_s", "search_ms_p50", "search_ms_p95", "before_mb", "read_mb", "searched_mb",
-    "visited_mb", "optimise_s",
+    "keyframes", "points", "size_mb", "read_s", "search_ms_p50", "search_ms_p95", "search_processor_ms_p50",
+    "search_processor_ms_p95", "before_mb", "read_mb", "searched_mb", "visited_mb", "optimise_s",
 )  # fmt: skip
 PAGE = (PROJECT_ROOT / "docs" / "map.md").read_text("utf-8")
 
