@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,9 @@ STAMPS = [START_NS + k * STEP_NS for k in range(len(WAY))]
 MOUNTING = se3.make_pose(Rotation.from_euler("z", 20, degrees=True).as_matrix(), (0.3, 0.0, 1.2))
 OUTPUTS = {"decisions.jsonl", "trajectory_tum.txt", "loops.g2o", "results.mcap", "config.yaml", "summary.json"}
 
+OPTIMIZED = {"trajectory_optimized_tum.txt"} if importlib.util.find_spec("gtsam") else set()  # needs an extra
+OUTPUTS_OF = {mode: OUTPUTS | (OPTIMIZED if mode == "loop_closure" else set()) for mode in MODES}
+
 
 def write_room_bag(path: Path, broken: tuple[int, ...] = ()) -> Path:
     """TF odom -> base_link -> lidar and /points at 10 Hz; clouds whose numbers are `broken` have six points."""
@@ -44,7 +48,8 @@ def write_reference(path: Path) -> Path:
 
 def job(bag: Path, out: Path, mode: str = "pair", **more: Any) -> ReplayJob:
     """A job of the room's bag without a report, which costs some tenths of a second."""
-    return ReplayJob(bag, out, CONFIG, "lidar_indoor", mode, **{"report": False, **more})
+    config = more.pop("config", CONFIG)
+    return ReplayJob(bag, out, config, "lidar_indoor", mode, **{"report": False, **more})
 
 
 def replay_in_all_modes(bag: Path, folder: Path) -> dict[str, Path]:
