@@ -7,7 +7,7 @@ comes with it is verified, and if that is not accepted the two scans are registe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +23,7 @@ from svc_ros.io.trajectories import Trajectory
 from svc_ros.pipeline.agreement import Agreement
 from svc_ros.pipeline.decide import refused, register_pair
 from svc_ros.pipeline.keyframes import Keyframe, KeyframeStore
-from svc_ros.pipeline.place import compare_places
+from svc_ros.pipeline.place_search import most_alike
 from svc_ros.pipeline.stream import StampOrder, StreamDecision, answer_or_refuse, decide_in_order, demand
 
 Judge = Callable[[Keyframe, Keyframe, Array | None, Config], RegistrationResult]
@@ -92,6 +92,11 @@ class LoopCloser:
         """Keyframes that are kept now."""
         return len(self._keyframes)
 
+    @property
+    def newest(self) -> Keyframe | None:
+        """The keyframe that was added last; None before the first."""
+        return next(reversed(self._keyframes), None)
+
     def add(self, scan: Scan, T_odom_scan: ArrayLike | None = None) -> list[StreamDecision]:
         """Take the next scan; returns one decision for each loop that was judged, and none for most scans.
 
@@ -152,7 +157,7 @@ class LoopCloser:
 
     def _is_new(self, T_odom_scan: Array | None) -> bool:
         """True if the sensor has moved far enough from the last keyframe, or if nobody knows."""
-        last = next(reversed(self._keyframes), None)
+        last = self.newest
         if last is None or T_odom_scan is None or last.T_odom_scan is None:
             return True
         angle, distance = se3.pose_error(T_odom_scan, last.T_odom_scan)
@@ -177,14 +182,12 @@ class LoopCloser:
         found.sort(key=lambda pair: pair[0])
         return [candidate for _, candidate in found[: limits.max_near]]
 
-    def _similar(self, this: Keyframe, old: Iterable[Keyframe]) -> list[LoopCandidate]:
+    def _similar(self, this: Keyframe, old: Sequence[Keyframe]) -> list[LoopCandidate]:
         """Those of the keyframes whose places look most like this one."""
         limits = self._config.loop_closure
-        if limits.max_similar == 0:
-            return []
-        found = [(compare_places(this.look, keyframe.look)[0], keyframe) for keyframe in old]
-        found = sorted((pair for pair in found if pair[0] >= limits.min_similarity), key=lambda pair: -pair[0])
-        return [LoopCandidate(keyframe, None, "place") for _, keyframe in found[: limits.max_similar]]
+        looks = [keyframe.look for keyframe in old] if limits.max_similar else []
+        found = most_alike(this.look, looks, limits.max_similar, limits.min_similarity)
+        return [LoopCandidate(old[k], None, "place") for k, _ in found]
 
     def _judge(self, this: Keyframe, candidate: LoopCandidate) -> StreamDecision:
         with candidate.target.lent() as lent:
