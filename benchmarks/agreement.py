@@ -1,11 +1,11 @@
 """Wrong loops among right ones: what the agreement over a run keeps, beside pairwise consistency and a robust graph.
 
-    python benchmarks/agreement.py RUN... [--seeds N] [--out DIR]
+    python benchmarks/agreement.py RUN... [--seeds N] [--name NAME] [--out DIR]
 
 RUN: folders of `svc_ros replay --mode loop_closure --reference ...`. Wrong loops are put among the right ones that the
 run accepted, by several seeds: `scattered` (three, anywhere within reach), `half` (as many as there are right ones) and
 `family` (five neighbours in a row that are all off by the same 4 m, as in a corridor that repeats). Odometry is that of
-the run, and the same with drift added. Writes agreement.json.
+the run, and the same with drift added. Writes NAME.json.
 """
 
 from __future__ import annotations
@@ -132,9 +132,17 @@ def by_consistency(loops: Sequence[StreamDecision], odometry: Trajectory, config
 
 
 def by_robust_graph(loops: Sequence[StreamDecision], odometry: Trajectory, config: Config) -> set[tuple[int, int]]:
-    """Graduated non-convexity on the pose graph (gtsam), odometry trusted: loops that keep more than half a weight."""
+    """Graduated non-convexity on the pose graph (gtsam), odometry trusted as far as the agreement does: loops that keep
+    more than half a weight."""
     gtsam = load_gtsam()
     graph = build_pose_graph(odometry, loops, config.covariance)
+    steps, limits = len(odometry) - 1, config.agreement
+    drift = np.array([limits.drift_ratio] * 3 + [np.radians(limits.drift_deg_per_metre)] * 3)
+    edges = [
+        dataclasses.replace(e, covariance=e.covariance + np.diag(drift * np.linalg.norm(e.T_target_source[:3, 3])) ** 2)
+        for e in graph.edges[:steps]
+    ]
+    graph = dataclasses.replace(graph, edges=[*edges, *graph.edges[steps:]])
     factors = factors_of(graph, np.arange(len(odometry)) == 0)
     first = gtsam.Values()
     for vertex in range(1, len(odometry)):
@@ -159,7 +167,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("runs", type=Path, nargs="*", metavar="RUN", help="without one nothing is compared")
     parser.add_argument("--seeds", type=int, default=10, help="times that wrong loops are drawn")
-    parser.add_argument("--out", type=Path, default=RESULTS, help="folder for the JSON file")
+    parser.add_argument("--name", default="agreement", help="of the JSON file")
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder for it")
     options = parser.parse_args()
     runs = [run for run in map(read_run, options.runs) if len(run.loops) >= FAMILY]
     if not runs:
@@ -174,7 +183,8 @@ def main() -> None:
     print_table("Loops kept", ("odometry, wrong loops, method", *list(rows[0])[3:]), [
         (", ".join(list(row.values())[:3]), *list(row.values())[3:]) for row in rows])  # fmt: skip
     about = {"runs": [run.name for run in runs], "num_right_loops": [len(run.loops) for run in runs]}
-    write_report(options.out / "agreement.json", {**about, "num_seeds": options.seeds, "rows": rows}, describe_run([]))
+    values = {**about, "num_seeds": options.seeds, "rows": rows}
+    write_report(options.out / f"{options.name}.json", values, describe_run([]))
 
 
 def compare(runs: Sequence[Run], kind: str, drift: tuple[float, float], num_seeds: int) -> dict[str, dict[str, Any]]:
