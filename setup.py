@@ -89,6 +89,12 @@ setup(
             "ros-jazzy-visualization-msgs",
             "ros-jazzy-lifecycle-msgs",
         ],
+        # On Python 3.10 the newest wheels are built for numpy 1, and end the process beside numpy 2.
+        "graph": [
+            "gtsam>=4.3; python_version >= '3.11'",
+            "gtsam>=4.2.1,<4.3; python_version < '3.11'",
+            "numpy<2; python_version < '3.11'",
+        ],
         "las": ["laspy[lazrs]>=2.5"],
         "cluster": ["distributed>=2024.5"],
         "report": ["plotly>=5.20", "matplotlib>=3.8", "evo>=1.30"],

@@ -24,6 +24,7 @@ lock() { # lock PYTHON FLAVOUR
   local python=$1 flavour=$2 minor extras=test,dev,las,report,compare,cluster limit=
   minor=$("$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
   local venv=$scratch/$minor$flavour out=$root/constraints/py$minor$flavour.txt
+  if [ "$minor" != 3.10 ]; then extras=$extras,graph; fi # see tools/setup.sh
   if [ -z "$flavour" ]; then extras=$extras,ros; else limit="numpy<2"; fi
   "$python" -m venv "$venv"
   mkdir "$venv/source"

@@ -12,6 +12,7 @@ from svc_ros.cli.config import config
 from svc_ros.cli.doctor.command import doctor
 from svc_ros.cli.evaluate import evaluate
 from svc_ros.cli.exit_codes import OneDoor
+from svc_ros.cli.map import map as build_map
 from svc_ros.cli.register import register
 from svc_ros.cli.replay import replay
 from svc_ros.cli.simulate import simulate
@@ -50,7 +51,7 @@ def start(ctx: typer.Context, version: VersionOption = False) -> None:
         raise InputError("expected a command, found none (see above)")
 
 
-for command in (register, verify, view, evaluate, calibrate, replay, simulate, config, doctor):
+for command in (register, verify, view, evaluate, calibrate, replay, build_map, simulate, config, doctor):
     app.command(command.__name__)(command)
 
 

@@ -13,6 +13,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from svc_ros.core.errors import InputError
 from svc_ros.core.kernels import range_image as range_image_kernels
 
 Array = NDArray[np.float64]
@@ -65,6 +66,32 @@ def build_range_image(points: Array, origin: Array, min_range_m: float, beam_spa
     return image
 
 
+def restore_range_image(
+    near: NDArray[np.float32], far: NDArray[np.float32], size_deg: Size, rows: tuple[int, int], shares: Size
+) -> RangeImage:
+    """An image of which its cells were kept: near, far (C,) [m] and the size of cells [deg] as it had them.
+
+    rows: `rows_of` that image; shares: its dense and its seen ratio. Raises InputError where the cells are none of
+    such an image.
+    """
+    tables = _cut(size_deg, rows)
+    if not len(near) == len(far) == int(tables[2].sum()):
+        raise InputError(
+            f"range image: expected {int(tables[2].sum())} cells in {rows[1]} rows of {size_deg[0]:g} x "
+            f"{size_deg[1]:g} deg, found {len(near)} and {len(far)}"
+        )
+    return RangeImage(near, far, tables, size_deg, *shares)
+
+
+def rows_of(image: RangeImage) -> tuple[int, int]:
+    """Which of all rows of cells the image has: the first, counted from straight down, and how many."""
+    kept = image.tables[0]
+    inside = np.flatnonzero(kept >= 0)
+    if len(inside) == 0:
+        return 0, 0
+    return int(_tables(image.size_deg)[0][inside[0]] - kept[inside[0]]), len(image.tables[2])
+
+
 def _larger(size_deg: Size) -> tuple[Size, Size]:
     """Cells that are wider, and cells that are higher."""
     height, width = size_deg
@@ -76,8 +103,8 @@ def _build(points: Array, origin: Array, min_range_m: float, size_deg: Size) -> 
     num = int(tables[2].sum())
     near, far = np.full(num, np.inf, np.float32), np.zeros(num, np.float32)
     range_image_kernels.fill(points, origin, min_range_m, tables, near, far)
-    tables, cells = _used_rows(tables, far)
-    near, far = near[cells], far[cells]
+    rows, cells = _used_rows(tables, far)
+    tables, near, far = _cut(size_deg, rows), near[cells], far[cells]
     wide_near, wide_far = np.empty_like(near), np.empty_like(far)
     num_held, num_dense, num_seen = range_image_kernels.spread(
         near, far, *tables[2:], _LEAST_HELD, wide_near, wide_far
@@ -103,14 +130,22 @@ def _tables(size_deg: Size) -> Tables:
     return rows, turns.astype(np.float32), columns, starts
 
 
-def _used_rows(tables: Tables, far: NDArray[np.float32]) -> tuple[Tables, slice]:
-    """The tables of the rows from the lowest to the highest point, and their cells."""
-    rows, turns, columns, starts = tables
+def _used_rows(tables: Tables, far: NDArray[np.float32]) -> tuple[tuple[int, int], slice]:
+    """The rows from the lowest to the highest point, the first one and how many, and their cells."""
+    *_, columns, starts = tables
     held = np.flatnonzero(far)
     if len(held) == 0:
-        return (np.full_like(rows, -1), turns, columns[:0], starts[:0]), slice(0, 0)
-    first, last = np.searchsorted(starts, held[[0, -1]], side="right") - 1
-    begin, end = int(starts[first]), int(starts[last] + columns[last])
-    inside = (rows >= first) & (rows <= last)
+        return (0, 0), slice(0, 0)
+    first, last = (int(row) for row in np.searchsorted(starts, held[[0, -1]], side="right") - 1)
+    return (first, last - first + 1), slice(int(starts[first]), int(starts[last] + columns[last]))
+
+
+def _cut(size_deg: Size, used: tuple[int, int]) -> Tables:
+    """The tables of some rows: the first one, and how many."""
+    rows, turns, columns, starts = _tables(size_deg)
+    first, num = used
+    if num == 0:
+        return np.full_like(rows, -1), turns, columns[:0], starts[:0]
+    inside = (rows >= first) & (rows < first + num)
     kept = np.where(inside, rows - first, -1).astype(np.int16)
-    return (kept, turns, columns[first : last + 1], starts[first : last + 1] - begin), slice(begin, end)
+    return kept, turns, columns[first : first + num], starts[first : first + num] - starts[first]

@@ -88,6 +88,11 @@ class LoopCloser:
         """Keyframes that are kept now."""
         return len(self._keyframes)
 
+    @property
+    def newest(self) -> Keyframe | None:
+        """The keyframe that was added last; None before the first."""
+        return next(reversed(self._keyframes), None)
+
     def add(self, scan: Scan, T_odom_scan: ArrayLike | None = None) -> list[StreamDecision]:
         """Take the next scan; returns one decision for each loop that was judged, and none for most scans.
 
@@ -142,7 +147,7 @@ class LoopCloser:
 
     def _is_new(self, T_odom_scan: Array | None) -> bool:
         """True if the sensor has moved far enough from the last keyframe, or if nobody knows."""
-        last = next(reversed(self._keyframes), None)
+        last = self.newest
         if last is None or T_odom_scan is None or last.T_odom_scan is None:
             return True
         angle, distance = se3.pose_error(T_odom_scan, last.T_odom_scan)

@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 from svc_ros.core import se3
 from svc_ros.core.scan import Array, PreparedScan
 
-_NUM_RINGS = 20
-_NUM_SECTORS = 120  # 3 deg each
+NUM_RINGS = 20
+NUM_SECTORS = 120  # 3 deg each
 _REACH = 100.0  # the outermost ring begins so many voxels from the sensor
 
 
@@ -33,18 +33,18 @@ class PlaceLook:
 def look_at_place(scan: PreparedScan) -> PlaceLook:
     """Describe the place of one prepared scan."""
     x, y, _ = (scan.points - scan.sensor_origin).T
-    ring = np.floor(np.hypot(x, y) / (_REACH * scan.voxel_size_m) * _NUM_RINGS)
-    sector = np.floor((np.arctan2(y, x) / (2.0 * np.pi) + 0.5) * _NUM_SECTORS).astype(np.int64) % _NUM_SECTORS
-    cell = np.minimum(ring, _NUM_RINGS - 1).astype(np.int64) * _NUM_SECTORS + sector
-    counts = np.log1p(np.bincount(cell, minlength=_NUM_RINGS * _NUM_SECTORS)).reshape(_NUM_RINGS, _NUM_SECTORS)
+    ring = np.floor(np.hypot(x, y) / (_REACH * scan.voxel_size_m) * NUM_RINGS)
+    sector = np.floor((np.arctan2(y, x) / (2.0 * np.pi) + 0.5) * NUM_SECTORS).astype(np.int64) % NUM_SECTORS
+    cell = np.minimum(ring, NUM_RINGS - 1).astype(np.int64) * NUM_SECTORS + sector
+    counts = np.log1p(np.bincount(cell, minlength=NUM_RINGS * NUM_SECTORS)).reshape(NUM_RINGS, NUM_SECTORS)
     counts /= max(float(np.linalg.norm(counts)), 1e-12)
     return PlaceLook(np.fft.rfft(counts, axis=1), scan.sensor_origin)
 
 
 def compare_places(source: PlaceLook, target: PlaceLook) -> tuple[float, Array]:
     """Likeness in [0, 1], and the turn (4, 4) that puts the source onto the target with both sensors in one spot."""
-    likeness = np.fft.irfft((np.conj(source.spectrum) * target.spectrum).sum(0), n=_NUM_SECTORS)
+    likeness = np.fft.irfft((np.conj(source.spectrum) * target.spectrum).sum(0), n=NUM_SECTORS)
     best = int(np.argmax(likeness))
-    R = Rotation.from_euler("z", 2.0 * np.pi * best / _NUM_SECTORS).as_matrix()
+    R = Rotation.from_euler("z", 2.0 * np.pi * best / NUM_SECTORS).as_matrix()
     T = se3.make_pose(R, target.sensor_origin - R @ source.sensor_origin)
     return min(max(float(likeness[best]), 0.0), 1.0), T

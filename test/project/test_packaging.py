@@ -142,6 +142,8 @@ class TestDeclarations:
         lines = (PROJECT_ROOT / f"constraints/py{minor}.txt").read_text().splitlines()
         pins = dict(line.split("==") for line in lines if line and not line.startswith("#"))
         machine = {"python_version": minor, "platform_system": "Linux", "platform_machine": "x86_64"}
+        if minor == "3.10":  # where `make setup` leaves it out: its wheels need numpy 1
+            arguments = {**arguments, "extras_require": {**arguments["extras_require"], "graph": []}}
         for requirement in requirements(arguments):
             if requirement.marker is None or requirement.marker.evaluate({**machine, "extra": ""}):
                 version = pins[canonicalize_name(requirement.name)]

@@ -268,3 +268,12 @@ def refine_on_inliers(T: np.ndarray, x: np.ndarray, y: np.ndarray, threshold: fl
             break
         T = poses[0]
     return T
+
+
+# --- place search -----------------------------------------------------------------------------------------------
+
+
+def cross_spectra(wanted: np.ndarray, spectra: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Cross spectra (N, F) of one spectrum (R, F) with many (N, R, F), summed over rings; and their weighted size."""
+    cross = np.einsum("rf,nrf->nf", wanted.conj().astype(complex), spectra.astype(complex))
+    return cross, np.abs(cross) @ weights

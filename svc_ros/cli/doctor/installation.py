@@ -19,8 +19,9 @@ from pathlib import Path
 from svc_ros.cli.doctor.bag import check_bag
 from svc_ros.cli.doctor.finding import Finding, Level
 from svc_ros.core.config import PRESETS
-from svc_ros.core.errors import SvcError
+from svc_ros.core.errors import MissingDependencyError, SvcError
 from svc_ros.io.config_yaml import config_folder, read_config
+from svc_ros.pipeline.graph_optimisation import load_gtsam
 
 __all__ = ["Finding", "Level", "check_bag", "check_installation"]
 
@@ -39,6 +40,7 @@ _OPTIONAL = {  # module -> what it is for, how to install it
     "laspy": ("LAS and LAZ scans", "pip install 'laspy[lazrs]'"),
     "plotly": ("HTML reports", "pip install plotly"),
     "evo": ("errors of trajectories: replay --reference", "pip install 'evo>=1.30'"),
+    "gtsam": ("optimised pose graphs", "pip install 'svc_ros[graph]'"),
     "kiss_matcher": ("comparisons", "pip install kiss-matcher"),
 }
 _DISTRIBUTIONS = {"open3d": ("open3d", "open3d-cpu"), "yaml": ("pyyaml",)}
@@ -143,9 +145,14 @@ def _check_optional(module: str, use: str, advice: str) -> Finding:
 def _load(module: str) -> str | None:
     """Import a module; what went wrong in one line, or None. A broken library is an answer here, whatever it raises."""
     try:
-        importlib.import_module(module)
+        if module == "gtsam":
+            load_gtsam()  # looks first whether its wheel would end the process
+        else:
+            importlib.import_module(module)
     except ModuleNotFoundError as error:
         return "not installed" if error.name == module else f"cannot be imported: {error}"
+    except MissingDependencyError as error:
+        return str(error)
     except Exception as error:
         return f"cannot be imported: {' '.join(str(error).split()) or type(error).__name__}"
     return None
