@@ -93,10 +93,10 @@ def judge_among_neighbours(
     num_telling = 0
     for index in _spread_out(T_map_scan, keyframes, config):
         look = _look(this, T_map_scan, keyframes, index, config, num_points)
-        if look.is_denied and not _shows_enough(look, config):
+        if look.is_denied and not shows_enough(look, config):
             continue  # of what hardly overlaps, the little that is seen may be at its edges
         looks.append(look)
-        num_telling += _shows_enough(look, config)
+        num_telling += shows_enough(look, config)
         if look.result.accepted:
             T_map_scan = look.T_map_scan
         if look.is_denied or num_telling == config.localization.max_neighbours:
@@ -117,6 +117,12 @@ def is_same_place(T_map_scan: Array, other: Array, config: Config, drift_m: floa
     angle, distance = se3.pose_error(T_map_scan, other)
     limits = config.shortlist
     return angle <= limits.max_moved_rotation_deg and distance <= limits.max_moved_translation_m + drift_m
+
+
+def shows_enough(look: Placed, config: Config) -> bool:
+    """Whether the keyframe saw so much of the scan that its verdict tells something."""
+    evidence = look.result.evidence
+    return evidence is not None and evidence.oriented_overlap_ratio >= config.decision.min_oriented_overlap
 
 
 def _spread_out(T_map_scan: Array, keyframes: KeyframeMap, config: Config) -> list[int]:
@@ -141,11 +147,6 @@ def _look(
         result = verify(*scans, se3.invert(keyframes.poses[index]) @ T_map_scan, config)
     assert result.best_candidate is not None  # a pose was given
     return Placed(result, se3.nearest_pose(keyframes.poses[index] @ result.best_candidate), index, scans)
-
-
-def _shows_enough(look: Placed, config: Config) -> bool:
-    evidence = look.result.evidence
-    return evidence is not None and evidence.oriented_overlap_ratio >= config.decision.min_oriented_overlap
 
 
 def _combine(looks: Sequence[Placed], T_map_scan: Array, config: Config) -> Placed:
