@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-INPUT_TOPICS = ("source_points", "target_points", "points", "odom", "initial_guess")  # of all modes
+INPUT_TOPICS = ("source_points", "target_points", "points", "odom", "initial_guess", "initialpose")  # of all modes
 _POLICIES = ("history", "depth", "reliability")  # what may be overridden
 _OVERRIDES = "qos_overrides."
 _OF_RCLPY = tuple(f"{_OVERRIDES}{topic}." for topic in ("/clock", "/parameter_events", "/rosout"))

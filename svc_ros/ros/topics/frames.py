@@ -160,8 +160,10 @@ def _needs_tf(settings: NodeSettings) -> str:
     """The first parameter that cannot do without TF; empty if none."""
     if settings.sensor_frame:
         return "sensor_frame"
-    if settings.map_frame:
+    if settings.map_frame and settings.mode == "pair":
         return "map_frame"
-    if settings.base_frame and settings.mode == "scan_matching":
+    if settings.base_frame and settings.mode in ("scan_matching", "localization"):
         return "base_frame"
-    return "odometry:=tf" if settings.mode == "loop_closure" and settings.odometry == "tf" else ""
+    if settings.told_by == "tf" and settings.mode == "localization":
+        return "told_by:=tf"
+    return "odometry:=tf" if settings.mode in ("loop_closure", "localization") and settings.odometry == "tf" else ""

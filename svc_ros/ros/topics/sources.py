@@ -8,6 +8,7 @@ import numpy as np
 
 from svc_ros.core.scan import Array, Scan
 from svc_ros.ros.parameters import NodeParameters
+from svc_ros.ros.streams.localization_engine import ToldPose
 from svc_ros.ros.topics.frames import Frames
 from svc_ros.ros.topics.inputs import Inputs
 
@@ -25,6 +26,7 @@ class Sources:
     def __init__(self, session: Parts, parameters: NodeParameters) -> None:
         self._session, self._parameters = session, parameters
         self.odometry_frame = self._parameters.settings.odom_frame
+        self.frame_of_map = self._parameters.settings.frame_of_map
 
     def origin(self, frame: str, stamp_ns: int) -> Array:
         """Where the sensor stood in a cloud's frame."""
@@ -49,3 +51,15 @@ class Sources:
         T_odom_child = inputs.odometry.at(scan.stamp_ns, settings.max_skew_ns, settings.tf_timeout)
         child = inputs.odometry_child_frame or scan.frame_id
         return T_odom_child @ frames.pose(child, scan.frame_id, scan.stamp_ns, settings.tf_timeout)
+
+    def told(self, scan: Scan) -> ToldPose | None:
+        """Where others say that the cloud's frame stands in the map; TransformUnavailableError where TF is missing."""
+        settings, frames = self._parameters.settings, self._session.frames
+        if settings.told_by == "tf":
+            T = frames.pose(self.frame_of_map, scan.frame_id, scan.stamp_ns, settings.tf_timeout)
+            return ToldPose(T, scan.stamp_ns)
+        told = self._session.inputs.told.take(scan.stamp_ns)
+        if told is None:
+            return None
+        T_map_frame = frames.fixed_pose(self.frame_of_map, told.frame_id or self.frame_of_map, settings.tf_timeout)
+        return ToldPose(T_map_frame @ told.T_frame_base @ self.base(scan.frame_id, scan.stamp_ns), told.stamp_ns)
