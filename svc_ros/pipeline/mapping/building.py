@@ -20,7 +20,7 @@ from svc_ros.io.trajectories import Trajectory
 from svc_ros.pipeline.graph_optimisation import load_gtsam, optimise
 from svc_ros.pipeline.loop_closure import LoopCloser
 from svc_ros.pipeline.map import Map
-from svc_ros.pipeline.map_joining import join_maps
+from svc_ros.pipeline.mapping.joining import join_maps
 from svc_ros.pipeline.pose_graph import build_pose_graph
 from svc_ros.pipeline.stream import StampOrder, StreamDecision
 
