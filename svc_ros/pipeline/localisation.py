@@ -16,7 +16,7 @@ from svc_ros.core.registration import prepare
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Array, Scan
 from svc_ros.pipeline.keyframes import Keyframe
-from svc_ros.pipeline.neighbours import KeyframeMap, Placed, is_same_place, judge_among_neighbours, shows_enough
+from svc_ros.pipeline.neighbours import KeyframeMap, Placed, is_same_place, judge_among_neighbours
 from svc_ros.pipeline.own_steps import OwnSteps
 from svc_ros.pipeline.relocalisation import DRIFT, WaitingPlaces, find_in_map
 from svc_ros.pipeline.stream import StampOrder, StreamDecision, decide_in_order, leave_undecided
@@ -53,6 +53,16 @@ class Localiser:
         self._T_map_odom: Array | None = None
         self._confirmed: tuple[int, Array] | None = None  # stamp and place of the last scan that was accepted
         self._is_told_wrong = False
+
+    @property
+    def config(self) -> Config:
+        """What it was made with."""
+        return self._config
+
+    @property
+    def keyframes(self) -> KeyframeMap:
+        """The map."""
+        return self._map
 
     @property
     def state(self) -> LocalisationState:
@@ -119,7 +129,7 @@ class Localiser:
         placed = self._judge(this)(predicted)
         if placed.result.accepted and placed.probability >= self._config.localization.min_probability:
             return self._confirm(this, placed), "motion"
-        if placed.result.verdict is Verdict.REJECTED and shows_enough(placed, self._config):
+        if placed.result.verdict is Verdict.REJECTED:
             found, origin = self._search(this, [*guesses, predicted])
             if found.result.accepted:
                 return found, origin
