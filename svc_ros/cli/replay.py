@@ -116,9 +116,9 @@ def replay(
         raise InputError(f"--preset {preset}: expected none beside --map, the map has its own configuration")
     wanted = read_wanted(preset, method, config_file)
     job = ReplayJob(
-        paths[0], out, wanted.first_fit(), wanted.preset if map_folder is None else "map", mode, topic, start, duration, stride, max_rate, sensor_frame,
-        odometry_frame, reference, reference_frame, with_input, resume, report, wanted.given,
-        map_folder=map_folder, map_reference=map_reference,
+        paths[0], out, wanted.first_fit(), wanted.preset if map_folder is None else "map", mode, topic, start, duration,
+        stride, max_rate, sensor_frame, odometry_frame, reference, reference_frame, with_input, resume, report,
+        wanted.given, map_folder=map_folder, map_reference=map_reference,
     )  # fmt: skip
     if len(paths) == 1 and scheduler is None:
         interrupted = _replay_one(job)

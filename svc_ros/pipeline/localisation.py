@@ -133,7 +133,7 @@ class Localiser:
             found, origin = self._search(this, [*guesses, predicted])
             if found.result.accepted:
                 return found, origin
-        if placed.is_denied or self._is_overdue(this):
+        if self._is_contradicted(placed) or self._is_overdue(this):
             self._lose()
         if placed.result.accepted:
             why = f"probability {placed.probability:.2f} only where odometry leads to"
@@ -168,6 +168,11 @@ class Localiser:
         self._state = LocalisationState.LOCALISED
         self._waiting.clear()
         return placed
+
+    def _is_contradicted(self, predicted: Placed) -> bool:
+        """Whether the scan shows another place than odometry leads to; what hardly overlaps the map shows none."""
+        is_elsewhere = predicted.result.verdict is Verdict.REJECTED and len(self._waiting) > 0
+        return is_elsewhere or predicted.is_denied or predicted.is_moved
 
     def _is_overdue(self, this: Keyframe) -> bool:
         assert self._confirmed is not None

@@ -79,6 +79,11 @@ class Placed:
         """Whether sight lines say no to the pose."""
         return self.result.verdict is Verdict.REJECTED and self.result.reason is Reason.SIGHT_VIEW_BLOCKED
 
+    @property
+    def is_moved(self) -> bool:
+        """Whether another pose than the one that was asked about fits better."""
+        return self.result.verdict is Verdict.REJECTED and self.result.reason is Reason.AMBIGUOUS
+
 
 def judge_among_neighbours(
     this: Keyframe, T_map_scan: Array, keyframes: KeyframeMap, config: Config, num_points: int | None = None

@@ -79,6 +79,9 @@ class WaitingPlaces:
         self._config = config
         self._places: list[_Place] = []
 
+    def __len__(self) -> int:
+        return len(self._places)
+
     def clear(self) -> None:
         """Forget all of them."""
         self._places.clear()
