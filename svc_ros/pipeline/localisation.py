@@ -16,7 +16,7 @@ from svc_ros.core.registration import prepare
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Array, Scan
 from svc_ros.pipeline.keyframes import Keyframe
-from svc_ros.pipeline.neighbours import KeyframeMap, Placed, is_same_place, judge_among_neighbours, shows_enough
+from svc_ros.pipeline.neighbours import KeyframeMap, Placed, is_same_place, judge_among_neighbours
 from svc_ros.pipeline.own_steps import OwnSteps
 from svc_ros.pipeline.relocalisation import DRIFT, WaitingPlaces, find_in_map
 from svc_ros.pipeline.stream import StampOrder, StreamDecision, decide_in_order, leave_undecided
@@ -53,6 +53,16 @@ class Localiser:
         self._T_map_odom: Array | None = None
         self._confirmed: tuple[int, Array] | None = None  # stamp and place of the last scan that was accepted
         self._is_told_wrong = False
+
+    @property
+    def config(self) -> Config:
+        """What it was made with."""
+        return self._config
+
+    @property
+    def keyframes(self) -> KeyframeMap:
+        """The map."""
+        return self._map
 
     @property
     def state(self) -> LocalisationState:
@@ -119,11 +129,11 @@ class Localiser:
         placed = self._judge(this)(predicted)
         if placed.result.accepted and placed.probability >= self._config.localization.min_probability:
             return self._confirm(this, placed), "motion"
-        if placed.result.verdict is Verdict.REJECTED and shows_enough(placed, self._config):
+        if placed.result.verdict is Verdict.REJECTED:
             found, origin = self._search(this, [*guesses, predicted])
             if found.result.accepted:
                 return found, origin
-        if placed.is_denied or self._is_overdue(this):
+        if self._is_contradicted(placed) or self._is_overdue(this):
             self._lose()
         if placed.result.accepted:
             why = f"probability {placed.probability:.2f} only where odometry leads to"
@@ -158,6 +168,11 @@ class Localiser:
         self._state = LocalisationState.LOCALISED
         self._waiting.clear()
         return placed
+
+    def _is_contradicted(self, predicted: Placed) -> bool:
+        """Whether the scan shows another place than odometry leads to; what hardly overlaps the map shows none."""
+        is_elsewhere = predicted.result.verdict is Verdict.REJECTED and len(self._waiting) > 0
+        return is_elsewhere or predicted.is_denied or predicted.is_moved
 
     def _is_overdue(self, this: Keyframe) -> bool:
         assert self._confirmed is not None

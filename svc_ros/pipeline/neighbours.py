@@ -79,6 +79,11 @@ class Placed:
         """Whether sight lines say no to the pose."""
         return self.result.verdict is Verdict.REJECTED and self.result.reason is Reason.SIGHT_VIEW_BLOCKED
 
+    @property
+    def is_moved(self) -> bool:
+        """Whether another pose than the one that was asked about fits better."""
+        return self.result.verdict is Verdict.REJECTED and self.result.reason is Reason.AMBIGUOUS
+
 
 def judge_among_neighbours(
     this: Keyframe, T_map_scan: Array, keyframes: KeyframeMap, config: Config, num_points: int | None = None
@@ -93,10 +98,10 @@ def judge_among_neighbours(
     num_telling = 0
     for index in _spread_out(T_map_scan, keyframes, config):
         look = _look(this, T_map_scan, keyframes, index, config, num_points)
-        if look.is_denied and not shows_enough(look, config):
+        if look.is_denied and not _shows_enough(look, config):
             continue  # of what hardly overlaps, the little that is seen may be at its edges
         looks.append(look)
-        num_telling += shows_enough(look, config)
+        num_telling += _shows_enough(look, config)
         if look.result.accepted:
             T_map_scan = look.T_map_scan
         if look.is_denied or num_telling == config.localization.max_neighbours:
@@ -119,8 +124,7 @@ def is_same_place(T_map_scan: Array, other: Array, config: Config, drift_m: floa
     return angle <= limits.max_moved_rotation_deg and distance <= limits.max_moved_translation_m + drift_m
 
 
-def shows_enough(look: Placed, config: Config) -> bool:
-    """Whether the keyframe saw so much of the scan that its verdict tells something."""
+def _shows_enough(look: Placed, config: Config) -> bool:
     evidence = look.result.evidence
     return evidence is not None and evidence.oriented_overlap_ratio >= config.decision.min_oriented_overlap
 

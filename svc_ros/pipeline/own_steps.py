@@ -29,7 +29,7 @@ class OwnSteps:
         if T_odom_scan is not None:
             joined, self._is_own_frame = not self._is_own_frame, False
         elif last is None:
-            T_odom_scan = np.eye(4)
+            T_odom_scan, self._is_own_frame = np.eye(4), True
         else:
             T_last_this = self._register(this, last[0])
             if T_last_this is None:

@@ -19,6 +19,7 @@ from svc_ros.pipeline.decide import register_pair
 from svc_ros.pipeline.keyframes import Keyframe
 from svc_ros.pipeline.neighbours import KeyframeMap, Placed, is_same_place, judge_among_neighbours, place_against
 
+_LOOKED_THROUGH = 8  # times the wanted keyframes, for those far from each other
 DRIFT = 0.02  # odometry's error grows by so much for each metre
 _MOST = 8  # places that wait at once
 
@@ -33,8 +34,7 @@ def find_in_map(this: Keyframe, keyframes: KeyframeMap, guesses: Iterable[Array]
     found: list[Placed] = []
     failed: list[Placed] = []
     near = [index for guess in guesses for index in keyframes.near(guess, config.preprocess.max_range_m, 1)]
-    alike = [index for index, _ in keyframes.similar(this.look, config.localization.max_similar)]
-    for index in dict.fromkeys([*near, *alike]):
+    for index in dict.fromkeys([*near, *_alike(this, keyframes, config)]):
         if any(_confirms(this, placed, keyframes, index, config) for placed in found):
             continue
         placed = _registered(this, keyframes, index, config)
@@ -44,6 +44,21 @@ def find_in_map(this: Keyframe, keyframes: KeyframeMap, guesses: Iterable[Array]
             found.append(placed)
     best = max(failed, key=lambda placed: placed.probability, default=None)
     return sorted(found, key=lambda placed: -placed.probability) or ([] if best is None else [best])
+
+
+def _alike(this: Keyframe, keyframes: KeyframeMap, config: Config) -> list[int]:
+    """The keyframes that look most like the scan; every other one far from those before it.
+
+    Where one place looks like the scan, those beside it do, too, and would leave no turn for another that does.
+    """
+    most = config.localization.max_similar
+    left = [index for index, _ in keyframes.similar(this.look, _LOOKED_THROUGH * most)]
+    chosen: list[int] = []
+    while left and len(chosen) < most:
+        ways = np.linalg.norm(keyframes.poses[left, None, :3, 3] - keyframes.poses[chosen, :3, 3], axis=2)
+        far = np.flatnonzero((ways >= config.loop_closure.max_distance_m).all(axis=1))
+        chosen.append(left.pop(int(far[0]) if len(chosen) % 2 and len(far) else 0))
+    return chosen
 
 
 def _confirms(this: Keyframe, placed: Placed, keyframes: KeyframeMap, index: int, config: Config) -> bool:
@@ -78,6 +93,9 @@ class WaitingPlaces:
     def __init__(self, config: Config) -> None:
         self._config = config
         self._places: list[_Place] = []
+
+    def __len__(self) -> int:
+        return len(self._places)
 
     def clear(self) -> None:
         """Forget all of them."""
