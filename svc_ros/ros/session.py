@@ -23,7 +23,6 @@ from svc_ros.core.errors import InputError, MissingDependencyError
 from svc_ros.core.result import Reason
 from svc_ros.io.places import check_place
 from svc_ros.pipeline.decide import refused
-from svc_ros.pipeline.map import Map
 from svc_ros.pipeline.scan_matching import ScanMatcher
 from svc_ros.ros.diagnostics import Statistics, statuses
 from svc_ros.ros.parameters import OF_MAPS, NodeParameters
@@ -185,10 +184,9 @@ class Session:
 
     def _make_engine(self) -> Engine:
         settings, sources = self._parameters.settings, Sources(self, self._parameters)
-        keyframes = Map.read(settings.map_folder) if settings.mode == "localization" else None
-        if keyframes is not None:
-            self._parameters.take_map(keyframes.config)
-        if settings.mode == "scan_matching" or (settings.mode != "pair" and settings.odometry == "own"):
+        if settings.mode == "localization":
+            return LocalizationEngine.of_folder(sources, settings, self._parameters.take_map)
+        if settings.mode == "scan_matching" or (settings.mode == "loop_closure" and settings.odometry == "own"):
             ScanMatcher(self._parameters.config)  # a package that is missing is said now, not with the first scan
         if settings.mode == "scan_matching":
             return MatchingEngine(sources.origin, sources.base, settings.odom_frame)
@@ -197,8 +195,6 @@ class Session:
             if graph_file is not None:
                 check_place("graph_file", graph_file)
             return LoopEngine(sources, settings.odometry == "own", self.judges.wait, graph_file)
-        if keyframes is not None:
-            return LocalizationEngine(sources, keyframes, settings.odometry == "own")
         return PairRegistrar(sources.origin, sources.guess)
 
     # on the executor's thread

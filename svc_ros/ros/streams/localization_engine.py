@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -60,6 +61,20 @@ class MapSources(Protocol):
         ...
 
 
+class MapSettings(Protocol):
+    """What of the node's settings says which map, and how the sensor moves."""
+
+    @property
+    def map_folder(self) -> str:
+        """Where the map is."""
+        ...
+
+    @property
+    def odometry(self) -> str:
+        """Where odometry comes from: own, topic or tf."""
+        ...
+
+
 class LocalizationEngine:
     """Finds one sensor in a map and follows it; a change of the configuration begins the search anew.
 
@@ -75,6 +90,20 @@ class LocalizationEngine:
         self._way = PoseBuffer(_KEPT_ODOMETRY)  # T_odom_cloud of the last scans
         self._last: StreamDecision | None = None
         self._last_ns, self._told_ns, self._num_told, self._told_problem = 0, -_TOLD_FOR_NS, 0, ""
+
+    @classmethod
+    def of_folder(
+        cls, sources: MapSources, settings: MapSettings, take: Callable[[Config], None]
+    ) -> LocalizationEngine:
+        """The engine for a map on disk. take: makes what the map was made with the values of the node.
+
+        Raises InputError for a folder that is no map, what `take` raises, MissingDependencyError for own odometry.
+        """
+        keyframes, own_odometry = Map.read(settings.map_folder), settings.odometry == "own"
+        take(keyframes.config)
+        if own_odometry:
+            odometry_by_matching(keyframes.config)  # a package that is missing is said now, not with the first scan
+        return cls(sources, keyframes, own_odometry)
 
     def process(self, job: Job, config: Config) -> list[Decision]:
         """The decision on a told pose, if there is one, and the one on the scan's own place; see Engine."""
