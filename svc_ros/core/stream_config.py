@@ -44,7 +44,7 @@ class LocalizationConfig(Group):
 
     max_similar: int = value(4, "most keyframes by the look of the place that a lost scan is registered to", "", 0, 100)
     max_neighbours: int = value(3, "most keyframes around a pose that judge it, each from its own origin", "", 1, 100)
-    min_probability: float = value(0.75, "a predicted pose that is less probable does not count as confirmed", "", 0, 1)
+    min_probability: float = value(0.75, "an accepted pose that is less probable confirms nothing", "", 0.0, 1.0)
     sure_probability: float = value(0.95, "a found pose as probable as this needs no further scan", "", 0.0, 1.0)
     agreeing_scans: int = value(3, "of a less probable one so many scans have to agree along odometry", "", 2, 100)
     agreeing_distance_m: float = value(2.0, "these scans are at least so far apart", "m", 0.0, 1000.0)

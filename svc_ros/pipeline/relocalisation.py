@@ -109,15 +109,15 @@ class WaitingPlaces:
             if placed.is_denied:
                 continue
             place.num_silent += 1
-            if placed.result.accepted:
+            if self._counts(placed):
                 self._support(place, placed, T_odom_scan)
             if place.num_silent <= len(place.stood_at):
                 left.append(place)
         self._places = left
 
     def add(self, found: Iterable[Placed], T_odom_scan: Array) -> None:
-        """Take accepted poses that a search for the same scan has found."""
-        for placed in found:
+        """Take poses that a search for the same scan has found; those that are not probable enough say nothing."""
+        for placed in filter(self._counts, found):
             same = [p for p in self._places if self._is_same(p, placed, T_odom_scan)]
             if same:
                 self._support(same[0], placed, T_odom_scan)
@@ -144,6 +144,9 @@ class WaitingPlaces:
         scans = max((len(place.stood_at) for place in self._places), default=0)
         wanted = self._config.localization.agreeing_scans
         return f"{scans} of {wanted} scans that have to agree, {len(self._places)} places are possible"
+
+    def _counts(self, placed: Placed) -> bool:
+        return placed.result.accepted and placed.probability >= self._config.localization.min_probability
 
     def _support(self, place: _Place, placed: Placed, T_odom_scan: Array) -> None:
         place.T_map_odom = placed.T_map_scan @ se3.invert(T_odom_scan)

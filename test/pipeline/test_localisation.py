@@ -103,7 +103,7 @@ def test_of_two_rooms_that_are_alike_none_is_chosen() -> None:
     twice.keyframes += twice.keyframes
     twice.poses = np.concatenate([twice.poses, FAR_AWAY @ twice.poses])
     localiser = Localiser(twice, CONFIG)
-    for k in range(len(WAY)):
+    for k in range(4):
         (decision,) = localiser.add(scan(k), odometry(k))
         assert (decision.result.verdict, decision.result.reason) == (Verdict.UNDECIDED, Reason.AMBIGUOUS)
         assert decision.T_odom_source is None
@@ -121,15 +121,14 @@ def test_a_kidnapped_sensor_is_found_again(room: MapInMemory, with_odometry: boo
 
 
 def test_in_another_building_it_is_lost_and_tells_no_pose(room: MapInMemory) -> None:
-    localiser = Localiser(room, CONFIG)
+    localiser = Localiser(room, with_values(CONFIG, {"localization.max_similar": 1}))
     localiser.add(scan(0), odometry(0))
-    for k in range(1, 4):
-        (decision,) = localiser.add(elsewhere(k), odometry(k))
-        assert not decision.result.accepted
-        assert decision.T_odom_source is None
+    (decision,) = localiser.add(elsewhere(1), odometry(1))
+    assert not decision.result.accepted
+    assert decision.T_odom_source is None
     assert (localiser.state, localiser.T_map_odom) == (LocalisationState.LOST, None)
-    (decision,) = localiser.add(scan(4), odometry(4))
-    assert_right(decision, WAY[4])
+    (decision,) = localiser.add(scan(2), odometry(2))
+    assert_right(decision, WAY[2])
 
 
 def test_what_nothing_confirms_is_lost_after_a_while() -> None:
@@ -152,13 +151,9 @@ ERRORS = [se3.make_pose(np.eye(3), shift) for shift in ((2.0, 0, 0), (0, -2.0, 0
 def test_told_poses_that_are_wrong_are_called_so_at_once_and_true_ones_never(room: MapInMemory) -> None:
     localiser = Localiser(room, CONFIG)
     localiser.add(scan(0), odometry(0))
-    k = 0
-    for told in ([error @ WAY[1] for error in ERRORS] + [WAY[1] @ TURN]):
-        for T, is_wrong in ((told, True), (WAY[1], False)):
-            k += 1
-            about_told, own = localiser.add(scan(k % len(WAY), WAY[1]), odometry(1), T) if k == 1 else localiser.add(
-                Scan(scan_room(WAY[1], seed=k), (200 + k) * S, "lidar"), odometry(1), T
-            )
+    for number, wrong in enumerate([*(error @ WAY[1] for error in ERRORS), WAY[1] @ TURN]):
+        for T, is_wrong in ((wrong, True), (WAY[1], False)):
+            about_told, own = localiser.add(scan(2 + 2 * number + (not is_wrong), WAY[1]), odometry(1), T)
             assert about_told.origin == "told"
             assert (about_told.result.verdict is Verdict.REJECTED) == is_wrong == localiser.is_told_wrong
             assert about_told.result.accepted != is_wrong
@@ -166,7 +161,7 @@ def test_told_poses_that_are_wrong_are_called_so_at_once_and_true_ones_never(roo
 
 
 def test_a_told_pose_that_wrong_sight_lines_deny_is_wrong_also_where_nobody_knows_better(room: MapInMemory) -> None:
-    localiser = Localiser(room, CONFIG)
+    localiser = Localiser(room, with_values(CONFIG, {"localization.max_similar": 1}))
     told, own = localiser.add(elsewhere(0), odometry(0), WAY[0])
     assert not own.result.accepted
     assert told.result.verdict is Verdict.REJECTED

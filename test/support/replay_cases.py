@@ -70,7 +70,7 @@ def write_map_reference(path: Path) -> Path:
 
 
 def job(bag: Path, out: Path, mode: str = "pair", **more: Any) -> ReplayJob:
-    """A job of the room's bag without a report, which costs some tenths of a second; to localise, in a map beside it."""
+    """A job of the room's bag without a report, which costs tenths of a second; to localise, in a map beside it."""
     if mode == "localization":
         more = {"map_folder": room_map(bag.parent / "map"), **more}
         if "reference" in more:
