@@ -31,8 +31,8 @@ GROUPS = {name.partition(".")[0] for name in CONFIG if "." in name}
 # Names of ROS, of other packages and of formats, that no code of ours spells out.
 FOREIGN = {
     "NaN", "base_link", "bond", "use_sim_time", "qos_overrides", "header.frame_id", "child_frame_id", "frame_id",
-    "/kiss/odometry", "/initialpose", "/amcl_pose", "base_footprint", "keyframes", "/tf", "/source", "VERTEX_SE3:QUAT", "EDGE_SE3:QUAT",
-    "odom_lidar", "odom0_differential: true",
+    "/kiss/odometry", "/initialpose", "/amcl_pose", "/tf", "/source", "VERTEX_SE3:QUAT", "EDGE_SE3:QUAT",
+    "odom_lidar", "odom0_differential: true", "base_footprint", "keyframes",
     "pyproject.toml", "svc_ros_spin_images.py", "functools.lru_cache",
     "NUMBA_CACHE_DIR", "make setup", "timebase", "xfer_format",
     "configure", "activate", "deactivate", "cleanup", "message", "p_target = T_target_source p_source",
