@@ -18,7 +18,7 @@ from svc_ros.core.errors import InputError
 if TYPE_CHECKING:
     from svc_ros.io.bags import Bag
     from svc_ros.pipeline.map import Map
-    from svc_ros.pipeline.map_building import Run, Tracked
+    from svc_ros.pipeline.mapping.building import Run, Tracked
     from svc_ros.replay.job import ReplayJob
     from svc_ros.replay.modes import Replay
 
@@ -49,7 +49,7 @@ def map(
     agree. A run that nothing joins for sure is an error, and no map is written.
     """
     from svc_ros.pipeline.map import Map
-    from svc_ros.pipeline.map_building import build_map, check_map_place
+    from svc_ros.pipeline.mapping.building import build_map, check_map_place
     from svc_ros.replay.bags import expand_bags, folder_names
     from svc_ros.replay.job import ReplayJob
 
@@ -75,7 +75,7 @@ def map(
 def _runs(jobs: Sequence[ReplayJob], names: Sequence[str]) -> Iterator[Run]:
     """Each bag as a run; the first one settles the configuration of all."""
     from svc_ros.io.bags import Bag
-    from svc_ros.pipeline.map_building import Run
+    from svc_ros.pipeline.mapping.building import Run
     from svc_ros.replay.modes import open_replay
 
     settled: ReplayJob | None = None

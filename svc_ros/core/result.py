@@ -29,6 +29,7 @@ class Reason(str, Enum):
     LOW_OVERLAP = "low_overlap"
     AMBIGUOUS = "ambiguous"
     INSUFFICIENT_EVIDENCE = "insufficient_evidence"
+    UNCONFIRMED = "unconfirmed"
     TOO_FEW_CORRESPONDENCES = "too_few_correspondences"
     NO_HYPOTHESIS = "no_hypothesis"
     DEGENERATE = "degenerate"

@@ -89,7 +89,7 @@ class Localiser:
 
         T_odom_scan: (4, 4), where odometry says that the scan's frame stands, None where it says nothing; T_map_told:
         (4, 4), where others say that it stands in the map. The odometry frame of a decision is that of the map; origin:
-        `motion` (as odometry has it), `place` (found by this scan alone), `agreement` (by several), `told`. An
+        `motion` (as odometry has it), `place` (found by this scan alone), `run` (with those before it), `told`. An
         accepted decision is a place; any other leaves the scan without one. A scan that cannot be used is one decision
         that says why. Raises ConfigError and MissingDependencyError only.
         """
@@ -151,7 +151,7 @@ class Localiser:
         settled = self._waiting.settled(accepted)
         if settled is not None:
             is_alone = settled.probability >= self._config.localization.sure_probability
-            return self._confirm(this, settled), "place" if is_alone else "agreement"
+            return self._confirm(this, settled), "place" if is_alone else "run"
         if accepted:
             result = leave_undecided(accepted[0].result, Reason.AMBIGUOUS, self._waiting.describe())
             return dataclasses.replace(accepted[0], result=result), "place"

@@ -7,7 +7,7 @@ comes with it is verified, and if that is not accepted the two scans are registe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,9 +20,10 @@ from svc_ros.core.registration import prepare, verify
 from svc_ros.core.result import RegistrationResult
 from svc_ros.core.scan import Array, Scan
 from svc_ros.io.trajectories import Trajectory
+from svc_ros.pipeline.agreement import Agreement
 from svc_ros.pipeline.decide import refused, register_pair
 from svc_ros.pipeline.keyframes import Keyframe, KeyframeStore
-from svc_ros.pipeline.place import compare_places
+from svc_ros.pipeline.place_search import most_alike
 from svc_ros.pipeline.stream import StampOrder, StreamDecision, answer_or_refuse, decide_in_order, demand
 
 Judge = Callable[[Keyframe, Keyframe, Array | None, Config], RegistrationResult]
@@ -53,8 +54,9 @@ class LoopQuestion:
 class LoopCloser:
     """Keeps keyframes of one sensor and looks for loops among them.
 
-    `add` does it in one step. In two, one thread proposes, scan after scan, and others judge meanwhile: the decisions
-    on a scan depend on the scans before it and on no decision, so they are the same.
+    `add` does it in one step. In three, one thread proposes, scan after scan, and others judge meanwhile: what is
+    judged depends on the scans before it and on no decision. What was judged is then settled, in the order of the
+    scans, so that the decisions are the same.
 
     judge: what decides on a candidate, `judge_candidate` where nothing else is given.
     """
@@ -63,12 +65,14 @@ class LoopCloser:
         self._config, self._judge_candidate = config, judge or judge_candidate
         self._order = StampOrder()
         self._keyframes = KeyframeStore(config.loop_closure.max_keyframes)
+        self._agreement = Agreement(config)
         self._poses: dict[int, Array] = {}  # of every keyframe so far by stamp, those that were given up too
 
     def reset(self) -> None:
         """Forget everything."""
         self._order.clear()
         self._keyframes.clear()
+        self._agreement.reset()
         self._poses.clear()
 
     @property
@@ -96,14 +100,16 @@ class LoopCloser:
     def add(self, scan: Scan, T_odom_scan: ArrayLike | None = None) -> list[StreamDecision]:
         """Take the next scan; returns one decision for each loop that was judged, and none for most scans.
 
+        Each is followed by what it changes of earlier ones, see Agreement.
+
         T_odom_scan: (4, 4), where odometry says that the scan's frame stands; None where it says nothing. A scan that
         cannot be used is one decision that says why. Raises ConfigError and MissingDependencyError only.
         """
         found = self.propose(scan, T_odom_scan)
-        return self.judge(found) if isinstance(found, LoopQuestion) else found
+        return self.settle(self.judge(found)) if isinstance(found, LoopQuestion) else found
 
     def propose(self, scan: Scan, T_odom_scan: ArrayLike | None = None) -> LoopQuestion | list[StreamDecision]:
-        """The first half of `add`: what is to be judged; for one thread at a time.
+        """The first step of `add`: what is to be judged; for one thread at a time.
 
         An empty list where there is nothing to judge, and one decision where the scan cannot be used.
         """
@@ -114,11 +120,16 @@ class LoopCloser:
         return decide_in_order(scan, self._order, self._config, self.reset, ask)
 
     def judge(self, question: LoopQuestion) -> list[StreamDecision]:
-        """The second half of `add`: the decisions, at least one. Safe from any thread, for several questions at once.
+        """The second step of `add`: the decisions, at least one, each on its pair alone. Safe from any thread, for
+        several questions at once.
 
         Raises ConfigError and MissingDependencyError only.
         """
         return answer_or_refuse(question.keyframe.scan, self._config, lambda: self._answer(question))
+
+    def settle(self, decisions: list[StreamDecision]) -> list[StreamDecision]:
+        """The third step of `add`, question after question: what other loops of the run make of the decisions."""
+        return self._agreement.add(decisions, self.keyframe_poses)
 
     def _ask(self, scan: Scan, T_odom_scan: Array | None) -> LoopQuestion | list[StreamDecision]:
         # Only a scan that shows something new becomes a keyframe.
@@ -172,14 +183,12 @@ class LoopCloser:
         found.sort(key=lambda pair: pair[0])
         return [candidate for _, candidate in found[: limits.max_near]]
 
-    def _similar(self, this: Keyframe, old: Iterable[Keyframe]) -> list[LoopCandidate]:
+    def _similar(self, this: Keyframe, old: Sequence[Keyframe]) -> list[LoopCandidate]:
         """Those of the keyframes whose places look most like this one."""
         limits = self._config.loop_closure
-        if limits.max_similar == 0:
-            return []
-        found = [(compare_places(this.look, keyframe.look)[0], keyframe) for keyframe in old]
-        found = sorted((pair for pair in found if pair[0] >= limits.min_similarity), key=lambda pair: -pair[0])
-        return [LoopCandidate(keyframe, None, "place") for _, keyframe in found[: limits.max_similar]]
+        looks = [keyframe.look for keyframe in old] if limits.max_similar else []
+        found = most_alike(this.look, looks, limits.max_similar, limits.min_similarity)
+        return [LoopCandidate(old[k], None, "place") for k, _ in found]
 
     def _judge(self, this: Keyframe, candidate: LoopCandidate) -> StreamDecision:
         with candidate.target.lent() as lent:

@@ -7,6 +7,8 @@ turn can reach, so that the turn itself is looked for only where that could stil
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft
@@ -65,6 +67,13 @@ class PlaceIndex:
         likeness[rest] = _best_turn(cross, rest)
         order = np.argsort(-likeness, kind="stable")[:most]
         return [(int(k), float(likeness[k])) for k in order if likeness[k] >= max(least, 0.0)]
+
+
+def most_alike(look: PlaceLook, looks: Sequence[PlaceLook], most: int, least: float = 0.0) -> list[tuple[int, float]]:
+    """The same of a few looks that are searched once."""
+    if most < 1 or not looks:
+        return []
+    return PlaceIndex(np.array([each.spectrum for each in looks], np.complex64)).most_alike(look, most, least)
 
 
 def _correlated(look: PlaceLook, spectra: Spectra) -> tuple[Spectra, NDArray[np.float32]]:

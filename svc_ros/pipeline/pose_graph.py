@@ -14,7 +14,7 @@ from svc_ros.io.g2o import GraphEdge, PoseGraph
 from svc_ros.io.trajectories import Trajectory
 from svc_ros.pipeline.stream import StreamDecision
 
-DRIFT = 0.02  # odometry's error grows by so much for each metre, and for each radian
+_DRIFT = 0.02  # odometry's error grows by so much for each metre, and for each radian
 
 
 def build_pose_graph(keyframes: Trajectory, decisions: Iterable[StreamDecision], floor: CovarianceConfig) -> PoseGraph:
@@ -41,6 +41,6 @@ def build_pose_graph(keyframes: Trajectory, decisions: Iterable[StreamDecision],
 def _odometry_edge(poses: Array, source: int, floor: CovarianceConfig) -> GraphEdge:
     T = se3.invert(poses[source - 1]) @ poses[source]
     angle, distance = se3.pose_error(T, np.eye(4))
-    shift = floor.floor_translation_m + DRIFT * distance
-    turn = np.radians(floor.floor_rotation_deg + DRIFT * angle)
+    shift = floor.floor_translation_m + _DRIFT * distance
+    turn = np.radians(floor.floor_rotation_deg + _DRIFT * angle)
     return GraphEdge(source, source - 1, T, np.diag([shift**2] * 3 + [turn**2] * 3))

@@ -21,6 +21,7 @@ from svc_ros.pipeline.decide import register_pair
 from svc_ros.pipeline.keyframes import Keyframe, KeyframeStore
 from svc_ros.pipeline.motion import KissMotion, Motion
 from svc_ros.pipeline.place import compare_places
+from svc_ros.pipeline.place_search import most_alike
 from svc_ros.pipeline.stream import StampOrder, StreamDecision, decide_in_order, demand, leave_undecided
 
 
@@ -137,9 +138,9 @@ class ScanMatcher:
         """The last accepted scan, and of the keyframes those whose places look most like this one."""
         assert self._last is not None
         others = [keyframe for keyframe in reversed(self._keyframes) if keyframe is not self._last]
-        likeness = [-compare_places(this.look, keyframe.look)[0] for keyframe in others]
-        chosen = [self._last] + [others[i] for i in np.argsort(likeness, kind="stable")]
-        return chosen[: self._config.scan_matching.recovery_attempts]
+        num = self._config.scan_matching.recovery_attempts
+        found = most_alike(this.look, [keyframe.look for keyframe in others], num)
+        return [self._last, *(others[k] for k, _ in found)][:num]
 
     def _begin(self, motion: Motion, this: Keyframe) -> StreamDecision:
         """The first scan stands where odometry begins, by definition."""

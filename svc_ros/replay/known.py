@@ -8,9 +8,10 @@ from collections.abc import Iterable
 
 from svc_ros.core.config import Config
 from svc_ros.core.registration import verify
-from svc_ros.core.result import RegistrationResult
+from svc_ros.core.result import Reason, RegistrationResult
 from svc_ros.core.scan import Array, PreparedScan
 from svc_ros.core.sight.sight_view import gather_evidence
+from svc_ros.pipeline.agreement import ORIGIN
 from svc_ros.pipeline.keyframes import Keyframe
 from svc_ros.pipeline.loop_closure import judge_candidate
 from svc_ros.pipeline.stream import StreamDecision
@@ -32,11 +33,16 @@ def look_again(
 
 
 class KnownLoops:
-    """Judges candidates for loops: those that were judged before as they were, others as `judge_candidate` does."""
+    """Judges candidates for loops: those that were judged before as they were, others as `judge_candidate` does.
+
+    What is not confirmed is judged anew, because its decision no longer tells what the pair said by itself.
+    """
 
     def __init__(self, known: Iterable[StreamDecision]) -> None:
         self._results: dict[tuple[int, int], deque[RegistrationResult]] = {}
         for d in known:
+            if d.origin == ORIGIN or d.result.reason is Reason.UNCONFIRMED:
+                continue
             self._results.setdefault((d.source_stamp_ns, d.target_stamp_ns), deque()).append(d.result)
 
     def __call__(

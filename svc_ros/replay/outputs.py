@@ -14,6 +14,7 @@ from svc_ros.io.bags import Bag
 from svc_ros.io.bags.mcap_folder import CLOUD_TYPE
 from svc_ros.io.bags.result_writer import RecordedTopic, ResultWriter
 from svc_ros.io.results import json_line, result_to_json
+from svc_ros.pipeline.agreement import ORIGIN
 from svc_ros.replay.clouds import RecordedCloud, ReplayedPair
 from svc_ros.replay.job import DECISIONS, RESULTS
 from svc_ros.replay.pictures import draw
@@ -33,7 +34,7 @@ class DecisionFiles:
 
     def __init__(self, folder: Path, odometry_frame: str, earlier: Earlier) -> None:
         self._odometry_frame, self._earlier = odometry_frame, earlier
-        self.num_seen = 0
+        self.num_seen, self._num_pairs = 0, 0
         self.scenes = SceneKeeper()
         with ExitStack() as opened:
             self._lines = opened.enter_context(_open_lines(folder / DECISIONS, bool(earlier.records)))
@@ -54,7 +55,8 @@ class DecisionFiles:
         if picture is not None:
             self._results.write_picture(picture, decision.source_stamp_ns)
         if decision.scans is not None:
-            self.scenes.offer(number, *decision.scans, decision.result)
+            self.scenes.offer(self._num_pairs, *decision.scans, decision.result)
+        self._num_pairs += decision.origin != ORIGIN
 
     def write_cloud(self, topic: str, cloud: RecordedCloud) -> None:
         """Copy the cloud itself."""

@@ -126,18 +126,20 @@ class _Indices:
         self._of_stamp: dict[int, int] = {}
 
     def of(self, decisions: list[StreamDecision], cloud: RecordedCloud) -> list[ReplayedPair]:
-        """The decisions on a cloud with the indices of both clouds. Of two clouds with one stamp the later is dropped,
-        so that a target is the first one."""
+        """The decisions that a cloud led to with the indices of both clouds. Of two clouds with one stamp the later is
+        dropped, so that a target is the first one."""
         if self._order.is_jump(cloud.stamp_ns):
             self._of_stamp.clear()
         self._order.lateness(cloud.stamp_ns)
         self._of_stamp.setdefault(cloud.stamp_ns, cloud.index)
-        return [ReplayedPair.of(d, cloud.index, self._index_of_target(d, cloud)) for d in decisions]
+        return [
+            ReplayedPair.of(d, self._index(d.source_stamp_ns, cloud), self._index(d.target_stamp_ns, cloud))
+            for d in decisions
+        ]
 
-    def _index_of_target(self, decision: StreamDecision, cloud: RecordedCloud) -> int:
-        if decision.target_stamp_ns == cloud.stamp_ns:  # it was compared with nothing
-            return cloud.index
-        return self._of_stamp[decision.target_stamp_ns]
+    def _index(self, stamp_ns: int, cloud: RecordedCloud) -> int:
+        """cloud: the one that led to the decision; what was compared with nothing is its own target."""
+        return cloud.index if stamp_ns == cloud.stamp_ns else self._of_stamp[stamp_ns]
 
 
 def _refused(cloud: RecordedCloud, config: Config) -> StreamDecision:

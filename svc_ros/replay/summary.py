@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import platform
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,10 +13,11 @@ from typing import Any
 import numpy as np
 
 import svc_ros
-from svc_ros.core.result import Verdict
+from svc_ros.core.result import RegistrationResult, Verdict
 from svc_ros.evaluation.bag_reference import MAX_ROTATION_DEG, MAX_TRANSLATION_M, Reference, trajectory_errors
 from svc_ros.evaluation.metrics import percentile
 from svc_ros.io.trajectories import Trajectory
+from svc_ros.pipeline.agreement import ORIGIN, pair_of
 from svc_ros.replay.clouds import ReplayedPair, ReplayStep
 
 _PACKAGES = ("numpy", "scipy", "numba", "open3d", "open3d-cpu", "kiss-icp", "rosbags", "evo")
@@ -24,11 +26,14 @@ Errors = tuple[float, float]
 
 @dataclass
 class Tally:
-    """Counts what a replay decided. Errors are rotation [deg] and translation [m]."""
+    """Counts what a replay decided; of two words on one loop the last one. Errors are rotation [deg] and translation
+    [m]."""
 
     num_scans: int = 0
+    num_revised: int = 0
     verdicts: Counter[str] = field(default_factory=Counter)
     reasons: Counter[str] = field(default_factory=Counter)
+    last: dict[tuple[int, int], tuple[RegistrationResult, Errors | None]] = field(default_factory=dict)
     accepted_errors: list[Errors] = field(default_factory=list)
     without_reference: int = 0
     frame_id: str = ""
@@ -47,15 +52,31 @@ class Tally:
 
     def add_decision(self, decision: ReplayedPair, errors: Errors | None) -> None:
         """Count a decision, and the error of an accepted one; None where there is no reference for it."""
-        self.verdicts[decision.result.verdict.value] += 1
-        self.reasons[decision.result.reason.value] += 1
-        for name, ms in decision.result.time_ms.items():
-            self.stage_ms.setdefault(name, []).append(ms)
-        if decision.result.accepted and decision.source_stamp_ns != decision.target_stamp_ns:
-            if errors is None:
-                self.without_reference += 1
-            else:
-                self.accepted_errors.append(errors)
+        pair = pair_of(decision)
+        if decision.origin == ORIGIN:
+            self.num_revised += 1
+            self._count(*self.last[pair], -1)
+        else:
+            for name, ms in decision.result.time_ms.items():
+                self.stage_ms.setdefault(name, []).append(ms)
+        if pair[0] == pair[1]:
+            self._count(decision.result, None, 1, is_pair=False)
+        else:
+            self._count(decision.result, errors, 1)
+            self.last[pair] = dataclasses.replace(decision.result, evidence=None), errors
+
+    def _count(self, result: RegistrationResult, errors: Errors | None, num: int, is_pair: bool = True) -> None:
+        """Count a result once more, or take it back where `num` is -1."""
+        self.verdicts[result.verdict.value] += num
+        self.reasons[result.reason.value] += num
+        if not (result.accepted and is_pair):
+            return
+        if errors is None:
+            self.without_reference += num
+        elif num > 0:
+            self.accepted_errors.append(errors)
+        else:
+            self.accepted_errors.remove(errors)
 
     @property
     def recorded_s(self) -> float:
@@ -73,7 +94,8 @@ class Tally:
             "num_scans": self.num_scans,
             "num_decisions": self.verdicts.total(),
             "verdicts": {verdict.value: self.verdicts[verdict.value] for verdict in Verdict},
-            "reasons": dict(sorted(self.reasons.items())),
+            "reasons": {reason: num for reason, num in sorted(self.reasons.items()) if num},
+            "num_revised": self.num_revised,
             "latency_ms": {name: _median_and_p95(values) for name, values in sorted(self.stage_ms.items())},
         }
 

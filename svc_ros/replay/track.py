@@ -11,6 +11,7 @@ import numpy as np
 from svc_ros.core.scan import Array
 from svc_ros.io.g2o import GraphEdge, PoseGraph
 from svc_ros.io.trajectories import Trajectory
+from svc_ros.pipeline.agreement import ORIGIN, last_words, pair_of
 from svc_ros.pipeline.loop_closure import LoopCloser
 from svc_ros.pipeline.pose_graph import build_pose_graph
 from svc_ros.pipeline.stream import StampOrder
@@ -122,6 +123,12 @@ class LoopTrack(StreamTrack):
         super().__init__()
         self._closer = closer
 
+    def add(self, step: ReplayStep) -> None:
+        """See Track. The last word on a loop counts."""
+        revised = {pair_of(d) for d in step.decisions if d.origin == ORIGIN}
+        self._links = [d for d in self._links if pair_of(d) not in revised]
+        super().add(step)
+
     def graph(self) -> PoseGraph:
         """See Track; as the node's g2o file has it."""
         keyframes = self._closer.keyframe_poses
@@ -155,10 +162,10 @@ class MapTrack(StreamTrack):
 
 
 def _accepted(step: ReplayStep) -> list[ReplayedPair]:
-    """The accepted decisions without what is large: a long bag has many."""
+    """The accepted decisions without what is large: a long bag has many. Of two on one pair the last one counts."""
     return [
         dataclasses.replace(d, scans=None, result=dataclasses.replace(d.result, evidence=None))
-        for d in step.decisions
+        for d in last_words(step.decisions)
         if d.result.accepted
     ]
 

@@ -28,7 +28,8 @@ Record = Mapping[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """The folder of a replay. notes: what is missing, as sentences; config: None where the folder has none."""
+    """The folder of a replay. records: one a decision, with the last word on it; notes: what is missing, as sentences;
+    config: None where the folder has none."""
 
     records: Sequence[Record] = ()
     summary: Mapping[str, Any] = field(default_factory=dict)
@@ -52,12 +53,27 @@ def read_run(folder: Path) -> Run:
     trajectory = there("trajectory_tum.txt", "the way is drawn from the reference or from accepted pairs, if at all")
     config = there("config.yaml", "the borders of the decision are those of the default preset")
     return Run(
-        [] if decisions is None else read_jsonl(decisions),
+        [] if decisions is None else _last_words(read_jsonl(decisions)),
         {} if summary is None else _read_json(summary),
         None if trajectory is None or not trajectory.stat().st_size else read_tum(trajectory),
         None if config is None else read_config(config, preset("lidar_outdoor")),
         notes,
     )
+
+
+def _last_words(records: Iterable[Record]) -> list[Record]:
+    """One record a decision; a later word on an earlier pair stands in its place, with the evidence of the first."""
+    last: list[Record] = []
+    number: dict[tuple[Any, Any], int] = {}
+    for record in records:
+        pair = record.get("source_stamp_ns"), record.get("target_stamp_ns")
+        if record.get("origin") == "agreement" and pair in number:
+            first = last[number[pair]]
+            last[number[pair]] = {**record, "evidence": first.get("evidence"), "origin": first.get("origin")}
+        else:
+            number[pair] = len(last)
+            last.append(record)
+    return last
 
 
 def _read_json(path: Path) -> dict[str, Any]:

@@ -34,6 +34,10 @@ REASON_TEXTS: Mapping[Reason, ReasonText] = MappingProxyType({
         "surfaces leave a direction open (a corridor), or too little agrees",
         "wait for a scan with more structure",
     ),
+    Reason.UNCONFIRMED: ReasonText(
+        "a loop that agrees with neither odometry nor other loops, or that surer loops contradict",
+        "nothing: a later loop may confirm it; if many are right, check odometry and agreement.drift_ratio",
+    ),
     Reason.TOO_FEW_CORRESPONDENCES: ReasonText(
         "hardly any matching descriptors", "a smaller preprocess.voxel_size_m, the right preset"
     ),

@@ -45,8 +45,8 @@ class SideView:
 class Scene:
     """One decision in three dimensions.
 
-    index: its line in decisions.jsonl, from 0; T_target_source: (4, 4), the pose that was judged, right or not; None
-    where there was none: the source then stands in its own frame.
+    index: number of its decision, from 0, later words on loops not counted; T_target_source: (4, 4), the
+    pose that was judged, right or not; None where there was none: the source then stands in its own frame.
     """
 
     index: int

@@ -13,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from svc_ros.core.result import Reason, Verdict
 from svc_ros.core.scan import Array
+from svc_ros.pipeline.agreement import ORIGIN
 from svc_ros.ros.middleware import cure
 from svc_ros.ros.streams.decision import Decision
 from svc_ros.ros.topics.loss import LossMonitor
@@ -69,7 +70,7 @@ class Statistics:
         self._reasons: Counter[str] = Counter()
         self._latencies_ms: deque[float] = deque(maxlen=_KEPT_LATENCIES)
         self._rejects_in_a_row = 0
-        self._num_jobs, self._num_pending, self._num_silent = 0, 0, 0
+        self._num_jobs, self._num_pending, self._num_silent, self._num_revised = 0, 0, 0, 0
 
     def receive(self) -> None:
         """One more pair, scan or cloud without a partner will be decided."""
@@ -78,13 +79,16 @@ class Statistics:
             self._num_pending += 1
 
     def finish(self, decisions: Sequence[Decision]) -> None:
-        """All decisions on one of them; none at all for a scan without candidates for a loop."""
+        """All decisions on one of them, and later words on earlier ones; none for a scan without candidates."""
         with self._lock:
             self._num_pending -= 1
             self._num_silent += not decisions
             self.fault = "" if not decisions else self.fault  # a scan without candidates is a scan without a fault
             for decision in decisions:
-                self._count(decision)
+                if decision.origin == ORIGIN:  # its pair is counted
+                    self._num_revised += 1
+                else:
+                    self._count(decision)
 
     def _count(self, decision: Decision) -> None:
         result = decision.result
@@ -110,6 +114,7 @@ class Statistics:
                     "without_candidate": self._num_silent,
                 },
                 "decisions": dict(self._verdicts),
+                "revised": self._num_revised,
                 "reasons": dict(self._reasons),
                 "latency_ms": _percentiles(latencies),
                 "rejects_in_a_row": self._rejects_in_a_row,

@@ -8,8 +8,17 @@ import reference_images as reference
 from assertions import assert_same_bits
 from image_cases import CASES, MIN_RANGE, cells_of, directions_of, raster, seen
 
+from svc_ros.core.errors import InputError
 from svc_ros.core.kernels import range_image as range_image_kernels
-from svc_ros.core.range_image import _LEAST_HELD, RangeImage, _build, _tables, build_range_image
+from svc_ros.core.range_image import (
+    _LEAST_HELD,
+    RangeImage,
+    _build,
+    _tables,
+    build_range_image,
+    restore_range_image,
+    rows_of,
+)
 from svc_ros.core.scans.preprocess import estimate_beam_spacing_deg
 
 ORIGIN = np.zeros(3)
@@ -208,3 +217,16 @@ def test_all_that_a_raster_looked_at_is_known_but_its_rim():
     inside, beside = raster(azimuth[4:-4] + 0.1, elevation[4:-4] + 0.1), raster(azimuth, np.array([-14.0, 14.0, 60.0]))
     np.testing.assert_allclose(looked_up(image, inside), 10.0, rtol=1e-6)
     assert (looked_up(image, beside) == -1).all()
+
+
+@pytest.mark.parametrize("size_deg", SIZES)
+@pytest.mark.parametrize("case", CASES)
+def test_an_image_of_which_the_cells_were_kept_is_the_same(case, size_deg):
+    image = _build(CASES[case], ORIGIN, MIN_RANGE, size_deg)
+    shares = image.dense_ratio, image.seen_ratio
+    again = restore_range_image(image.near.copy(), image.far.copy(), size_deg, rows_of(image), shares)
+    for table, expected in zip((*again.tables, again.near), (*image.tables, image.near), strict=True):
+        assert_same_bits(table, expected)
+    assert (again.size_deg, again.dense_ratio, again.seen_ratio) == (size_deg, *shares)
+    with pytest.raises(InputError, match=r"range image: expected \d+ cells"):
+        restore_range_image(np.append(image.near, -1), np.append(image.far, -1), size_deg, rows_of(image), shares)

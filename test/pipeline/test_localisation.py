@@ -86,7 +86,7 @@ def test_what_one_scan_is_not_sure_of_waits_for_others_some_way_on(room: MapInMe
     assert "1 of 3 scans" in first.result.detail
     assert "2 of 3 scans" in second.result.detail
     assert_right(third, WAY[2])
-    assert third.origin == "agreement"
+    assert third.origin == "run"
 
 
 def test_a_standing_sensor_agrees_with_itself_only(room: MapInMemory) -> None:

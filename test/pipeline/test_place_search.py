@@ -11,7 +11,7 @@ from yardstick import Stopwatch
 
 from svc_ros.core.parallel import limit_threads
 from svc_ros.pipeline.place import PlaceLook, compare_places
-from svc_ros.pipeline.place_search import PlaceIndex
+from svc_ros.pipeline.place_search import PlaceIndex, most_alike
 
 SINGLE = 1e-5  # likeness in single precision
 
@@ -63,6 +63,12 @@ def test_places_that_are_added_are_found_as_those_from_the_beginning() -> None:
     assert len(grown) == len(whole) == 150
     for wanted in looks(3, seed=1):
         assert grown.most_alike(wanted, 5) == whole.most_alike(wanted, 5)
+
+
+def test_a_search_of_a_few_looks_is_that_of_an_index() -> None:
+    known, (wanted,) = looks(40), looks(1, seed=1)
+    assert most_alike(wanted, known, 3, 0.5) == PlaceIndex(stacked_looks(known)).most_alike(wanted, 3, 0.5)
+    assert most_alike(wanted, [], 3) == most_alike(wanted, known, 0) == []
 
 
 def test_nothing_is_found_where_nothing_is_or_is_wanted() -> None:

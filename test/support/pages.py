@@ -11,7 +11,7 @@ from types import ModuleType
 
 from places import PROJECT_ROOT
 
-COMMANDS = ("register", "verify", "view", "evaluate", "calibrate", "replay", "simulate", "config", "doctor")
+COMMANDS = ("register", "verify", "view", "evaluate", "calibrate", "replay", "map", "simulate", "config", "doctor")
 FENCED = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 README = (PROJECT_ROOT / "README.md").read_text("utf-8")
 REFERENCE = (PROJECT_ROOT / "docs" / "reference.md").read_text("utf-8")

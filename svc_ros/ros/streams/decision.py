@@ -12,6 +12,7 @@ from svc_ros.core.result import Reason, RegistrationResult
 from svc_ros.core.scan import Array, PreparedScan, Scan
 from svc_ros.io.clouds.point_cloud2 import scan_from_cloud
 from svc_ros.pipeline.decide import dropped, refused
+from svc_ros.pipeline.stream import StreamDecision
 from svc_ros.ros.streams.worker import Cloud, CloudLabel, DropJob, Job, PairJob, ScanJob
 
 
@@ -50,7 +51,7 @@ class Decision:
     """The answer to one job, or one of its answers.
 
     origin: where the judged pose of a stream came from, empty for pairs; vertices: numbers of source and target in the
-    pose graph, where both are in it.
+    pose graph, where both are in it; loop: the same decision as the pipeline has it, of loops.
     """
 
     result: RegistrationResult
@@ -61,18 +62,26 @@ class Decision:
     odometry: OdometryEstimate | None = None
     origin: str = ""
     vertices: tuple[int, int] | None = None
+    loop: StreamDecision | None = None
+
+
+def as_they_are(decisions: list[Decision]) -> list[Decision]:
+    """What is told of decisions that no others change."""
+    return decisions
 
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
     """A job that the worker is done with, and whose candidates are still to be judged.
 
-    judge: the decisions, at least one; called at most once, by any thread.
+    judge: the decisions, at least one; called at most once, by any thread; settle: what is told of them, called when it
+    is, by one thread at a time.
     """
 
     job: PairJob | ScanJob
     config: Config
     judge: Callable[[], list[Decision]]
+    settle: Callable[[list[Decision]], list[Decision]] = as_they_are
 
     def drop(self, reason: Reason, detail: str) -> list[Decision]:
         """The one decision where nothing is judged."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from svc_ros.core.parallel import num_processors
 from svc_ros.core.result import Reason
-from svc_ros.ros.streams.decision import Decision, Judgement, Outcome
+from svc_ros.ros.streams.decision import Decision, Judgement, Outcome, as_they_are
 
 _log = logging.getLogger(__name__)
 # Two where there is one processor to spare: a candidate that is hard takes fifty times as long as an easy one, which
@@ -29,6 +29,7 @@ class _Place:
     outcome: Outcome
     is_in_turn: bool
     is_begun: bool = False
+    settle: Callable[[list[Decision]], list[Decision]] = as_they_are
 
     @property
     def is_waiting(self) -> bool:
@@ -154,16 +155,16 @@ class Judges:
 
     def _judge(self, place: _Place) -> None:
         assert isinstance(place.outcome, Judgement)
-        decisions = place.outcome.decide()
+        decisions, settle = place.outcome.decide(), place.outcome.settle
         with self._changed:
-            place.outcome = decisions
+            place.outcome, place.settle = decisions, settle
 
     def _tell_what_is_ready(self) -> None:
         with self._telling:
             while (ready := self._next_to_tell()) is not None:
                 place, decisions = ready
                 try:
-                    self._tell(decisions)
+                    self._tell(place.settle(decisions))
                 except Exception:
                     _log.exception("decisions could not be told")
                 with self._changed:

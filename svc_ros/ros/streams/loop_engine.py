@@ -22,6 +22,7 @@ from svc_ros.core.errors import InputError, TransformUnavailableError
 from svc_ros.core.result import RegistrationResult
 from svc_ros.core.scan import Array, Scan
 from svc_ros.io.g2o import write_g2o
+from svc_ros.pipeline.agreement import pair_of
 from svc_ros.pipeline.decide import refused
 from svc_ros.pipeline.loop_closure import LoopCloser, LoopQuestion, judge_scans
 from svc_ros.pipeline.pose_graph import build_pose_graph
@@ -38,7 +39,7 @@ from svc_ros.ros.streams.decision import (
 )
 from svc_ros.ros.streams.matching_engine import from_stream, judge_stream_again
 from svc_ros.ros.streams.registrar import made_up_scan, warm_up
-from svc_ros.ros.streams.worker import Cloud, DropJob, Job, PairJob, ScanJob
+from svc_ros.ros.streams.worker import Cloud, CloudLabel, DropJob, Job, PairJob, ScanJob
 
 _log = logging.getLogger(__name__)
 OdometryOf = Callable[[Scan], Array | None]
@@ -80,7 +81,7 @@ class LoopEngine:
         self._closer: LoopCloser | None = None
         self._odometry_of: OdometryOf = sources.odometry
         self._found = threading.Lock()  # for the two that follow, which several threads write
-        self._loops: list[StreamDecision] = []
+        self._loops: dict[tuple[int, int], StreamDecision] = {}  # accepted by the last word on each pair
         self._last: StreamDecision | None = None
 
     def process(self, job: Job, config: Config) -> Outcome:
@@ -93,7 +94,8 @@ class LoopEngine:
         closer = self._closer_for(job, config)
         found = self._propose(closer, job)
         if isinstance(found, LoopQuestion):
-            return Judgement(job, config, functools.partial(self._judge, closer, found, job, start))
+            judge = functools.partial(self._judge, closer, found, job, start)
+            return Judgement(job, config, judge, functools.partial(self._settle, closer))
         return [from_stream(d, job, start, self._sources.odometry_frame, np.eye(4)) for d in found]
 
     def reset(self) -> None:
@@ -107,7 +109,7 @@ class LoopEngine:
         finally:
             self._num_graphs += self._closer is not None and len(self._closer.keyframe_poses) > 0
             self._closer, self._last = None, None
-            self._loops = []
+            self._loops = {}
             self._order.clear()
 
     def warm_up(self, config: Config) -> None:
@@ -128,7 +130,8 @@ class LoopEngine:
 
         Graphs of later resets get a number of their own. Safe from any thread. Raises InputError.
         """
-        closer, loops = self._closer, list(self._loops)
+        with self._found:
+            closer, loops = self._closer, list(self._loops.values())
         if self._graph_file is None or closer is None:
             return None
         keyframes = closer.keyframe_poses
@@ -187,19 +190,44 @@ class LoopEngine:
     def _judge(self, closer: LoopCloser, question: LoopQuestion, job: ScanJob, start_s: float) -> list[Decision]:
         found = closer.judge(question)
         with self._found:
-            self._loops += [_edge_only(d) for d in found if d.result.accepted]
             last = next((d for d in reversed(found) if d.scans is not None), None)
             if last is not None and (self._last is None or last.source_stamp_ns > self._last.source_stamp_ns):
                 self._last = last
         decisions = [from_stream(d, job, start_s, self._sources.odometry_frame, np.eye(4)) for d in found]
         keyframes = closer.keyframe_poses.stamps_ns
-        return [dataclasses.replace(d, vertices=_vertices(d, keyframes)) for d in decisions]
+        return [
+            dataclasses.replace(d, vertices=_vertices(d, keyframes), loop=loop)
+            for d, loop in zip(decisions, found, strict=True)
+        ]
+
+    def _settle(self, closer: LoopCloser, decisions: list[Decision]) -> list[Decision]:
+        """Hold the decisions against those that were told before; what that changes of earlier ones follows."""
+        told: list[Decision] = []
+        for decision in decisions:
+            if decision.loop is None:
+                told.append(decision)
+                continue
+            first, *later = closer.settle([decision.loop])
+            told += [dataclasses.replace(decision, result=first.result, loop=None), *map(_revision, later)]
+            with self._found:
+                for loop in (first, *later):
+                    self._loops.pop(pair_of(loop), None)
+                    if loop.result.accepted:
+                        self._loops[pair_of(loop)] = _edge_only(loop)
+        keyframes = closer.keyframe_poses.stamps_ns
+        return [dataclasses.replace(d, vertices=d.vertices or _vertices(d, keyframes)) for d in told]
 
 
 def _given(job: PairJob, result: RegistrationResult, start_s: float) -> Decision:
     came = max(job.source.received_s, job.target.received_s)
     timings = {"queue_ms": 1e3 * (start_s - came), "latency_ms": 1e3 * (time.monotonic() - came)}
     return Decision(result, *labels(job), timings, origin="given")
+
+
+def _revision(loop: StreamDecision) -> Decision:
+    source = CloudLabel(loop.source_stamp_ns, loop.source_frame)
+    target = CloudLabel(loop.target_stamp_ns, loop.target_frame)
+    return Decision(loop.result, source, target, origin=loop.origin)
 
 
 def _vertices(decision: Decision, keyframes_ns: NDArray[np.int64]) -> tuple[int, int] | None:

@@ -9,24 +9,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from svc_ros.core import se3
+from svc_ros.core.config import Config
 from svc_ros.core.errors import InputError
 from svc_ros.core.scan import Array
 from svc_ros.io.g2o import GraphEdge, PoseGraph
 from svc_ros.io.maps.layout import MapGraph
 from svc_ros.io.maps.writing import MapWriter
+from svc_ros.pipeline.consistency import PlacedLoop, fit_to_loops, ways_of
 from svc_ros.pipeline.graph_optimisation import optimise
 from svc_ros.pipeline.loop_closure import judge_candidate
 from svc_ros.pipeline.map import Map
-from svc_ros.pipeline.pose_graph import DRIFT
 
-_LEAST = 2  # loops that have to agree
-_SIGMAS = 3.0
+_MOST_SQ_ERROR = 22.5  # of six degrees of freedom: what agrees is below, but for one in a thousand
 _RIVALS = 0.5  # of as many loops as agree, fewer may say something else
 
 
@@ -73,76 +72,57 @@ def join_maps(first: Map, second: Map, folder: Path) -> Map:
 def find_joining_loops(first: Map, second: Map) -> list[JoiningLoop]:
     """Loops between the maps that agree with each other, at least two. Raises InputError where there are none."""
     by_look = list(_loops_by_look(first, second))
-    agreeing = largest_agreement(by_look, first.poses, second.poses)
-    num_rivals = len(by_look) - len(agreeing)
-    apart = _sources_apart(agreeing, second)
-    if len(agreeing) < _LEAST or apart < second.config.loop_closure.keyframe_distance_m or (
-        num_rivals >= _RIVALS * len(agreeing)
-    ):  # fmt: skip
+    placed = [place_loop(loop, first, second) for loop in by_look]
+    group = largest_agreement(placed, second.config)
+    num_rivals = len(by_look) - len(group)
+    if not _confirm_each_other([placed[k] for k in group], second.config) or num_rivals >= _RIVALS * len(group):
         raise InputError(
-            f"{_named(second)}: expected at least {_LEAST} loops with {_named(first)} from different places that "
-            f"agree, and less than half as many that do not, found {len(by_look)} loops, of which {len(agreeing)} "
-            f"agree, from places up to {apart:.1f} m apart: the runs are not joined"
+            f"{_named(second)}: expected at least two loops with {_named(first)} from different places that agree, "
+            f"and less than half as many that do not, found {len(by_look)} loops, of which {len(group)} agree: "
+            "the runs are not joined"
         )
+    agreeing = [by_look[k] for k in group]
     known = {loop.source for loop in agreeing}
     others = [k for k in range(len(second)) if k not in known]
     return agreeing + list(_loops_by_place(first, second, agreeing, others))
 
 
-def largest_agreement(
-    loops: Sequence[JoiningLoop], first_poses: Array, second_poses: Array
-) -> list[JoiningLoop]:
-    """The most loops that agree with one of them, and with each other; by the number of their sources.
+def place_loop(loop: JoiningLoop, first: Map, second: Map) -> PlacedLoop:
+    """The loop on both ways: its target's way is that of the first map, its source's that of the second."""
+    source_way, target_way = ways_of(second.poses)[loop.source], ways_of(first.poses)[loop.target]
+    return PlacedLoop(
+        loop.T_target_source, loop.covariance, second.poses[loop.source], first.poses[loop.target], source_way,
+        target_way,
+    )  # fmt: skip
 
-    first_poses (N, 4, 4), second_poses (M, 4, 4): of the keyframes of both maps, each in its own frame.
-    """
-    agrees = np.array(
-        [[_agree(one, other, first_poses, second_poses) for other in loops] for one in loops], bool
-    ).reshape(len(loops), len(loops))
+
+def largest_agreement(loops: Sequence[PlacedLoop], config: Config) -> list[int]:
+    """Numbers of the most loops of which no two contradict each other, in their order; found from each in turn."""
+    agree = np.array([fit_to_loops(loop, loops, config).sq_error <= _MOST_SQ_ERROR for loop in loops])
     best: list[int] = []
-    for seed in np.argsort(-agrees.sum(1), kind="stable").tolist():
-        if agrees[seed].sum() <= len(best):
-            break
-        found = [seed]
-        for k in np.argsort(-agrees.sum(1), kind="stable").tolist():
-            if k != seed and agrees[k, found].all():
-                found.append(k)
-        best = max(best, found, key=len)
-    return [loops[k] for k in sorted(best)]
+    order = np.argsort(-agree.sum(axis=1), kind="stable").tolist() if len(loops) else []
+    for seed in order:
+        group = [seed]
+        for k in order:
+            if k != seed and agree[k, group].all() and agree[group, k].all():
+                group.append(k)
+        best = max(best, group, key=len)
+    return sorted(best)
 
 
-def _agree(one: JoiningLoop, other: JoiningLoop, first_poses: Array, second_poses: Array) -> bool:
-    """True if both put the second map at the same place, as far as they and the ways between them tell."""
-    T_one_other = se3.invert(second_poses[one.source]) @ second_poses[other.source]
-    said_by_one = first_poses[one.target] @ one.T_target_source @ T_one_other
-    said_by_other = first_poses[other.target] @ other.T_target_source
-    turn_deg, shift = se3.pose_error(said_by_one, said_by_other)
-    begin, end = sorted((one.source, other.source))
-    steps = np.diff(second_poses[begin : end + 1, :3, 3], axis=0)
-    way = float(np.linalg.norm(steps, axis=1).sum())
-    way += float(np.linalg.norm(first_poses[one.target, :3, 3] - first_poses[other.target, :3, 3]))
-    turns = [_sigma(loop, slice(3, 6)) for loop in (one, other)]
-    shifts = [_sigma(loop, slice(0, 3)) for loop in (one, other)]
-    lever = float(np.linalg.norm(T_one_other[:3, 3]))
-    turn_limit = _SIGMAS * sum(turns) + DRIFT * np.radians(_turned_deg(second_poses[begin : end + 1]))
-    return bool(
-        np.radians(turn_deg) <= turn_limit and shift <= _SIGMAS * (sum(shifts) + turns[0] * lever) + DRIFT * way
-    )
+def _confirm_each_other(loops: Sequence[PlacedLoop], config: Config) -> bool:
+    """True where two of them come from different places, and drift alone could not bring them together."""
+    apart_m, sure_m = config.agreement.independent_m, config.loop_closure.keyframe_distance_m
+    return any(
+        bool(((np.linalg.norm(_sources(loops) - loop.T_odom_source[:3, 3], axis=1) >= apart_m)
+              & (fit_to_loops(loop, loops, config).sigma_m <= sure_m)).any())
+        for loop in loops
+    )  # fmt: skip
 
 
-def _turned_deg(poses: Array) -> float:
-    """How far a way turned, all steps together."""
-    return sum(se3.pose_error(a, b)[0] for a, b in pairwise(poses))
-
-
-def _sigma(loop: JoiningLoop, part: slice) -> float:
-    """Of the worst direction, in m or rad."""
-    return float(np.sqrt(np.linalg.eigvalsh(loop.covariance[part, part])[-1]))
-
-
-def _sources_apart(loops: Sequence[JoiningLoop], second: Map) -> float:
-    places = second.poses[[loop.source for loop in loops], :3, 3]
-    return max((float(np.linalg.norm(places - place, axis=1).max()) for place in places), default=0.0)
+def _sources(loops: Sequence[PlacedLoop]) -> Array:
+    """(L, 3) [m], where their sources stand."""
+    return np.array([loop.T_odom_source[:3, 3] for loop in loops])
 
 
 def _loops_by_look(first: Map, second: Map) -> Iterator[JoiningLoop]:
@@ -165,7 +145,8 @@ def _loops_by_place(
         for target in first.near(T_first_source, limits.max_distance_m, limits.max_near):
             guess = se3.nearest_pose(se3.invert(first.poses[target]) @ T_first_source)
             for loop in _judged(first, second, (source, target), guess):
-                if _agree(guide, loop, first.poses, second.poses):
+                fit = fit_to_loops(place_loop(loop, first, second), [place_loop(guide, first, second)], second.config)
+                if fit.sq_error[0] <= _MOST_SQ_ERROR:
                     yield loop
 
 

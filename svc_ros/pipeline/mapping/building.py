@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -20,7 +21,7 @@ from svc_ros.io.trajectories import Trajectory
 from svc_ros.pipeline.graph_optimisation import load_gtsam, optimise
 from svc_ros.pipeline.loop_closure import LoopCloser
 from svc_ros.pipeline.map import Map
-from svc_ros.pipeline.map_joining import join_maps
+from svc_ros.pipeline.mapping.joining import join_maps
 from svc_ros.pipeline.pose_graph import build_pose_graph
 from svc_ros.pipeline.stream import StampOrder, StreamDecision
 
@@ -48,8 +49,12 @@ def build_map(runs: Iterable[Run], out: Path, extended: Map | None = None) -> Ma
     with _folder_to_be(out) as folder:
         built = extended
         for number, run in enumerate(runs):
-            one = _build_run(run, _made(folder / f"run{number}"))
-            built = one if built is None else join_maps(built, one, _made(folder / f"joined{number}"))
+            parts = [part for part in (built, _build_run(run, _made(folder / f"run{number}"))) if part is not None]
+            built = parts[0] if len(parts) == 1 else join_maps(parts[0], parts[1], _made(folder / f"joined{number}"))
+            for part in parts:
+                if part is not built and part is not extended:  # it would take as much room again
+                    part.close()
+                    shutil.rmtree(part.folder)
         if built is None:
             raise InputError("map: expected at least one run, found none")
         built.close()

@@ -1,0 +1,167 @@
+"""Maps of runs: placed as they were, joined by loops that agree, never by guess; a broken end leaves what was there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from assertions import assert_same_bits, assert_same_pose
+from mini_data import scan_room, sensor_pose
+from simulated_scans import Place, scan_at
+
+from svc_ros.core import se3
+from svc_ros.core.config import Config, preset, with_values
+from svc_ros.core.errors import InputError
+from svc_ros.core.scan import Scan
+from svc_ros.pipeline.consistency import PlacedLoop, ways_of
+from svc_ros.pipeline.map import Map
+from svc_ros.pipeline.mapping.building import Run, build_map
+from svc_ros.pipeline.mapping.joining import largest_agreement
+
+pytest.importorskip("gtsam", reason="gtsam not installed: pip install 'svc_ros[graph]'")
+
+S = 1_000_000_000
+CONFIG = with_values(preset("lidar_indoor"), {"loop_closure.min_gap_s": 5.0, "loop_closure.keyframe_distance_m": 0.5})
+ALONG = (-3.0, -2.0, -1.0, 0.0, 1.0)
+THERE = [sensor_pose(x, 0.0, 0.0) for x in ALONG]
+BACK = [sensor_pose(x, 0.2, 180.0) for x in reversed(ALONG)]
+
+
+def run(
+    source: str, way: Sequence[np.ndarray], start_s: int = 0, config: Config = CONFIG, drift: np.ndarray | None = None
+) -> Run:
+    """Scans of the room, a second apart; odometry begins at the identity."""
+    begin, step = se3.invert(way[0]), np.eye(4) if drift is None else drift
+    tracked = [
+        (Scan(scan_room(T, seed=k), (start_s + k) * S, "lidar"), np.linalg.matrix_power(step, k) @ begin @ T)
+        for k, T in enumerate(way)
+    ]
+    return Run(source, tracked, config)
+
+
+def other_building(source: str, seed: int) -> Run:
+    """Scans of a simulated building, half a metre apart; odometry is what is true."""
+    found = [scan_at(Place("indoor", "OS0-64", seed, 10.0 + 1.5 * k)) for k in range(3)]
+    scans = [Scan(scan.points, k * S, "lidar") for k, (scan, _) in enumerate(found)]
+    return Run(source, [(scan, se3.nearest_pose(T)) for scan, (_, T) in zip(scans, found, strict=True)], CONFIG)
+
+
+def assert_placed(found: Map, way: Sequence[np.ndarray], deg: float = 0.5, m: float = 0.05) -> None:
+    for T, truth in zip(found.poses, way, strict=True):
+        assert_same_pose(T, se3.invert(way[0]) @ truth, deg, m)
+
+
+@pytest.fixture(scope="module")
+def there(tmp_path_factory: pytest.TempPathFactory) -> Map:
+    return build_map([run("there", THERE)], tmp_path_factory.mktemp("maps") / "there")
+
+
+def test_a_run_is_placed_by_its_odometry(there: Map) -> None:
+    assert_placed(there, THERE, 1e-6, 1e-6)
+    assert there.stamps_ns.tolist() == [k * S for k in range(len(THERE))]
+    assert [(edge.source, edge.target) for edge in there.graph.edges] == [(1, 0), (2, 1), (3, 2), (4, 3)]
+    assert np.linalg.eigvalsh(there.covariances[1:]).min() > 0.0
+    assert there.covariances[4, 0, 0] > there.covariances[1, 0, 0]
+    assert there.config == CONFIG
+
+
+def test_loops_correct_what_odometry_drifted(tmp_path: Path) -> None:
+    drift = se3.make_pose(np.eye(3), (0.03, 0.0, 0.0))
+    found = build_map([run("both ways", [*THERE, *BACK], drift=drift)], tmp_path / "map")
+    last = se3.invert(THERE[0]) @ BACK[-1]
+    assert len(found.graph.edges) > 9
+    assert abs(found.poses[-1, 0, 3] - last[0, 3]) < 0.1 < 9 * 0.03
+
+
+def test_a_further_run_is_joined_by_loops(there: Map, tmp_path: Path) -> None:
+    whole = build_map([run("back", BACK, 100)], tmp_path / "whole", there)
+    assert_placed(whole, [*THERE, *BACK])
+    assert whole.sessions.tolist() == [0] * 5 + [1] * 5
+    assert [each.source for each in whole.runs] == ["there", "back"]
+    between = [edge for edge in whole.graph.edges if whole.sessions[edge.source] != whole.sessions[edge.target]]
+    assert len(between) >= 2
+    for k in range(5):
+        assert_same_bits(whole.keyframe(k).scan.points, there.keyframe(k).scan.points)
+    again = build_map([run("there again", THERE, 200)], tmp_path / "whole", whole)  # in its own place
+    assert_placed(again, [*THERE, *BACK, *THERE])
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["whole"]
+
+
+def test_several_runs_become_one_map(tmp_path: Path) -> None:
+    whole = build_map([run("there", THERE), run("back", BACK, 100)], tmp_path / "map")
+    assert_placed(whole, [*THERE, *BACK])
+
+
+def test_a_run_of_another_place_is_not_joined(there: Map, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"elsewhere: expected at least two loops with there .* are not joined"):
+        build_map([other_building("elsewhere", 3)], tmp_path / "map", there)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_one_place_alone_joins_nothing(there: Map, tmp_path: Path) -> None:
+    """Two scans of one spot are one piece of evidence."""
+    spot = [BACK[1], BACK[1] @ sensor_pose(0, 0, 60) @ se3.make_pose(np.eye(3), (0, 0, -1.2))]
+    with pytest.raises(InputError, match="spot: expected at least two loops with there from different places"):
+        build_map([run("spot", spot, 100)], tmp_path / "map", there)
+
+
+def test_keyframes_of_another_kind_are_not_joined(there: Map, tmp_path: Path) -> None:
+    other = with_values(CONFIG, {"preprocess.voxel_size_m": 0.2})
+    with pytest.raises(InputError, match=r"expected preprocess\.voxel_size_m 0\.3"):
+        build_map([run("back", BACK, 100, other)], tmp_path / "map", there)
+
+
+STRAIGHT = np.array([se3.make_pose(np.eye(3), (float(x), 0.0, 0.0)) for x in range(12)])
+
+
+def loop(source: int, target: int, slip_m: float = 0.0, turn: np.ndarray | None = None) -> PlacedLoop:
+    """Between a way along x and the same way, exact but for a slip along it, or a turn."""
+    T = se3.make_pose(np.eye(3) if turn is None else turn, (float(source - target) + slip_m, 0.0, 0.0))
+    ways = ways_of(STRAIGHT)
+    covariance = np.diag([1e-4] * 3 + [1e-6] * 3)
+    return PlacedLoop(T, covariance, STRAIGHT[source], STRAIGHT[target], ways[source], ways[target])
+
+
+def test_loops_that_say_the_same_are_told_from_others() -> None:
+    right = [loop(1, 0), loop(4, 4, 0.01), loop(9, 10, -0.02)]
+    wrong = [loop(2, 2, 3.0), loop(3, 8, -2.0), loop(6, 5, 5.0), loop(8, 8, 9.0)]
+    mixed = [wrong[0], right[0], wrong[1], right[1], wrong[2], right[2], wrong[3]]
+    assert largest_agreement(mixed, CONFIG) == [1, 3, 5]
+    assert largest_agreement([], CONFIG) == []
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    assert largest_agreement([*right[:2], loop(4, 4, turn=quarter)], CONFIG) == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("scans", "said"),
+    [
+        ([], "odd: expected scans of one frame whose odometry is known, found none"),
+        ([(Scan(scan_room(THERE[0]), S, "lidar"), None)], "whose odometry is known, found none"),
+        ([(Scan(scan_room(THERE[k]), k * S, f"lidar{k}"), THERE[k]) for k in (0, 1)], "found those of lidar0, lidar1"),
+        ([(Scan(scan_room(THERE[0]), k * S, "lidar"), THERE[k]) for k in (3, 0)], "odd: expected rising stamps"),
+    ],
+)
+def test_a_run_that_is_none_is_named(tmp_path: Path, scans: list[tuple[Scan, np.ndarray]], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        build_map([Run("odd", scans, CONFIG)], tmp_path / "map")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_only_a_map_is_replaced(tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "letter.txt").write_text("dear")
+    (tmp_path / "file").write_text("")
+    for name, found in (("mine", "found one with other files"), ("file", "found a file in its place")):
+        with pytest.raises(InputError, match=found):
+            build_map([run("there", THERE)], tmp_path / name)
+    assert (tmp_path / "mine" / "letter.txt").read_text() == "dear"
+
+
+def test_a_map_stays_where_the_next_one_fails(tmp_path: Path) -> None:
+    build_map([run("there", THERE[:2])], tmp_path / "map")
+    with pytest.raises(InputError):
+        build_map([Run("odd", [], CONFIG)], tmp_path / "map")
+    assert len(Map.read(tmp_path / "map")) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["map"]
