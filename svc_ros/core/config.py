@@ -161,8 +161,8 @@ class Config(Group):
     covariance: CovarianceConfig = field(default_factory=CovarianceConfig)
     scan_matching: ScanMatchingConfig = field(default_factory=ScanMatchingConfig)
     loop_closure: LoopClosureConfig = field(default_factory=LoopClosureConfig)
-    localization: LocalizationConfig = field(default_factory=LocalizationConfig)
     agreement: AgreementConfig = field(default_factory=AgreementConfig)
+    localization: LocalizationConfig = field(default_factory=LocalizationConfig)
 
     @property
     def feature_radius_m(self) -> float:
@@ -245,8 +245,8 @@ PRESETS: dict[str, Config] = {
             "scan_matching.keyframe_distance_m": 0.5,
             "loop_closure.keyframe_distance_m": 0.3,
             "loop_closure.max_distance_m": 3.0,
-            "localization.agreeing_distance_m": 0.3,
             "agreement.independent_m": 0.6,
+            "localization.agreeing_distance_m": 0.3,
         },
     ),
 }

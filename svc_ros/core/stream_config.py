@@ -39,6 +39,16 @@ class LoopClosureConfig(Group):
 
 
 @dataclass(frozen=True)
+class AgreementConfig(Group):
+    """Loops of a run held against each other, and how far odometry is believed for it."""
+
+    drift_ratio: float = value(0.05, "odometry's error (one sigma) over the length of its way", "", 1e-4, 1.0)
+    drift_deg_per_metre: float = value(1.0, "its error in direction for each metre", "deg/m", 1e-4, 90.0)
+    independent_m: float = value(3.0, "loops between places nearer than this are one piece of evidence", "m", 0.0, 1e4)
+    odometry_failure: float = value(0.01, "how often odometry is wrong by far more than that", "", 1e-9, 0.5)
+
+
+@dataclass(frozen=True)
 class LocalizationConfig(Group):
     """Finding the sensor in a map of keyframes, and judging where others say that it is."""
 
@@ -49,13 +59,3 @@ class LocalizationConfig(Group):
     agreeing_scans: int = value(3, "of a less probable one so many scans have to agree along odometry", "", 2, 100)
     agreeing_distance_m: float = value(2.0, "these scans are at least so far apart", "m", 0.0, 1000.0)
     lost_after_s: float = value(10.0, "a place that no scan has confirmed for so long is lost", "s", 0.0, 1e6)
-
-
-@dataclass(frozen=True)
-class AgreementConfig(Group):
-    """Loops of a run held against each other, and how far odometry is believed for it."""
-
-    drift_ratio: float = value(0.05, "odometry's error (one sigma) over the length of its way", "", 1e-4, 1.0)
-    drift_deg_per_metre: float = value(1.0, "its error in direction for each metre", "deg/m", 1e-4, 90.0)
-    independent_m: float = value(3.0, "loops between places nearer than this are one piece of evidence", "m", 0.0, 1e4)
-    odometry_failure: float = value(0.01, "how often odometry is wrong by far more than that", "", 1e-9, 0.5)

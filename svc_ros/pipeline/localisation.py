@@ -16,10 +16,10 @@ from svc_ros.core.registration import prepare
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Array, Scan
 from svc_ros.pipeline.keyframes import Keyframe
-from svc_ros.pipeline.neighbours import KeyframeMap, Placed, is_same_place, judge_among_neighbours
+from svc_ros.pipeline.neighbours import KeyframeMap, Placed, is_same_place, judge_among_neighbours, nowhere
 from svc_ros.pipeline.own_steps import OwnSteps
 from svc_ros.pipeline.relocalisation import DRIFT, WaitingPlaces, find_in_map
-from svc_ros.pipeline.stream import StampOrder, StreamDecision, decide_in_order, leave_undecided
+from svc_ros.pipeline.stream import StampOrder, StreamDecision, decide_in_order, demand, leave_undecided
 
 
 class LocalisationState(str, Enum):
@@ -89,7 +89,7 @@ class Localiser:
 
         T_odom_scan: (4, 4), where odometry says that the scan's frame stands, None where it says nothing; T_map_told:
         (4, 4), where others say that it stands in the map. The odometry frame of a decision is that of the map; origin:
-        `motion` (as odometry has it), `place` (found by this scan alone), `run` (by several), `told`. An
+        `motion` (as odometry has it), `place` (found by this scan alone), `run` (with those before it), `told`. An
         accepted decision is a place; any other leaves the scan without one. A scan that cannot be used is one decision
         that says why. Raises ConfigError and MissingDependencyError only.
         """
@@ -155,7 +155,7 @@ class Localiser:
         if accepted:
             result = leave_undecided(accepted[0].result, Reason.AMBIGUOUS, self._waiting.describe())
             return dataclasses.replace(accepted[0], result=result), "place"
-        return found[0] if found else self._judge(this)(np.eye(4)), "place"
+        return found[0] if found else nowhere("no keyframe of the map to register to", self._config), "place"
 
     def _judge(self, this: Keyframe) -> Callable[[Array], Placed]:
         num_points = self._config.scan_matching.verify_points
@@ -185,17 +185,18 @@ class Localiser:
         """The verdict on a pose that others tell, as it was told: refinement does not excuse what it had to move."""
         if own.result.accepted and is_same_place(T_map_told, own.T_map_scan, self._config):
             return own
-        told = self._judge(this)(T_map_told)
+        told, wanted = self._judge(this)(T_map_told), self._config.localization.sure_probability
         if own.result.accepted:
             return _refuted(told, T_map_told, own.T_map_scan)
-        if told.result.verdict is Verdict.UNDECIDED and self._T_map_odom is not None:
+        if self._T_map_odom is not None and not (told.result.accepted and told.probability >= wanted):
             assert self._confirmed is not None
             assert this.T_odom_scan is not None
             predicted = self._T_map_odom @ this.T_odom_scan
             drift_m = DRIFT * float(np.linalg.norm(predicted[:3, 3] - self._confirmed[1][:3, 3]))
             if not is_same_place(T_map_told, predicted, self._config, drift_m):
                 return _refuted(told, T_map_told, predicted)
-        return told
+            wanted = self._config.localization.min_probability
+        return dataclasses.replace(told, result=demand(told.result, wanted))
 
     def _decision(self, this: Keyframe, placed: Placed, origin: str) -> StreamDecision:
         source, result = this.scan, placed.result

@@ -5,7 +5,6 @@ Never against one merged cloud: a cloud that several sensors saw has no origin f
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -106,7 +105,17 @@ def judge_among_neighbours(
             T_map_scan = look.T_map_scan
         if look.is_denied or num_telling == config.localization.max_neighbours:
             break
-    return _combine(looks, T_map_scan, config)
+    # What decides is a denial, else the surest acceptance, else what is nearest to acceptance.
+    if looks:
+        return max(looks, key=lambda look: (look.is_denied, look.result.accepted, _is_open(look), look.probability))
+    return nowhere(f"no keyframe of the map within {config.preprocess.max_range_m:g} m shows it", config)
+
+
+def nowhere(why: str, config: Config) -> Placed:
+    """Of a scan that nothing in the map can be held against."""
+    return Placed(
+        RegistrationResult(Verdict.UNDECIDED, Reason.INSUFFICIENT_EVIDENCE, config.method, detail=why), np.eye(4)
+    )
 
 
 def place_against(
@@ -151,15 +160,6 @@ def _look(
         result = verify(*scans, se3.invert(keyframes.poses[index]) @ T_map_scan, config)
     assert result.best_candidate is not None  # a pose was given
     return Placed(result, se3.nearest_pose(keyframes.poses[index] @ result.best_candidate), index, scans)
-
-
-def _combine(looks: Sequence[Placed], T_map_scan: Array, config: Config) -> Placed:
-    """The one that decides: a denial, else the surest acceptance, else the nearest to acceptance."""
-    if not looks:
-        detail = f"no keyframe of the map within {config.preprocess.max_range_m:g} m"
-        nothing = RegistrationResult(Verdict.UNDECIDED, Reason.INSUFFICIENT_EVIDENCE, config.method, detail=detail)
-        return Placed(nothing, T_map_scan)
-    return max(looks, key=lambda look: (look.is_denied, look.result.accepted, _is_open(look), look.probability))
 
 
 def _is_open(look: Placed) -> bool:

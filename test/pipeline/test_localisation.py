@@ -168,9 +168,20 @@ def test_a_told_pose_that_wrong_sight_lines_deny_is_wrong_also_where_nobody_know
     assert localiser.is_told_wrong
 
 
+def test_a_told_pose_alone_is_no_place_where_places_may_look_alike(room: MapInMemory) -> None:
+    """What others tell makes sight lines no surer."""
+    localiser = Localiser(room, with_values(CONFIG, {"localization.sure_probability": 1.0}))
+    for decision in localiser.add(scan(0), odometry(0), WAY[0]):
+        assert decision.result.verdict is Verdict.UNDECIDED
+        assert decision.T_odom_source is None
+    assert not localiser.is_told_wrong
+
+
 def test_a_told_pose_is_a_place_to_look_at(room: MapInMemory) -> None:
     none = with_values(CONFIG, {"localization.max_similar": 0})
-    assert not Localiser(room, none).add(scan(0), odometry(0))[0].result.accepted
+    (decision,) = Localiser(room, none).add(scan(0), odometry(0))
+    assert decision.result.verdict is Verdict.UNDECIDED
+    assert "no keyframe" in decision.result.detail
     told, own = Localiser(room, none).add(scan(0), odometry(0), ERRORS[1] @ WAY[0])
     assert told.result.verdict is Verdict.REJECTED
     assert_right(own, WAY[0])
