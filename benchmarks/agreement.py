@@ -157,11 +157,14 @@ METHODS: dict[str, Callable[[Sequence[StreamDecision], Trajectory, Config], set[
 def main() -> None:
     """Compare, print, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("runs", type=Path, nargs="+", metavar="RUN")
+    parser.add_argument("runs", type=Path, nargs="*", metavar="RUN", help="without one nothing is compared")
     parser.add_argument("--seeds", type=int, default=10, help="times that wrong loops are drawn")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder for the JSON file")
     options = parser.parse_args()
     runs = [run for run in map(read_run, options.runs) if len(run.loops) >= FAMILY]
+    if not runs:
+        print("nothing to compare: name folders of replays with a reference and five right loops or more")
+        return
     rows = [
         {"odometry": drift, "injected": kind, "method": method, **counts}
         for drift, how in DRIFTS.items()
