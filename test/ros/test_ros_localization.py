@@ -221,19 +221,21 @@ class Tree:
     def __init__(self) -> None:
         self.error = np.eye(4)  # of what others say
         self.has_odometry = True
+        self.newest_ns = 10**12  # of what others say
 
     def module(self) -> ModuleType:
         tree = self
 
         class Buffer:
             def lookup_transform(self, target, source, time, _timeout):
-                k = (time.nanoseconds // SECOND - 10) % 16
+                stamp_ns = time.nanoseconds or tree.newest_ns
+                k = (stamp_ns // SECOND - 10) % 16
                 if (target, source) == ("base_link", "lidar"):
                     return tree.message(T_BASE_LIDAR)
                 if (target, source) == ("odom", "lidar") and tree.has_odometry:
                     return tree.message(T_ODOM_MAP @ WAY[k])
-                if (target, source) == ("map", "lidar") and tree.error is not None:
-                    return tree.message(tree.error @ WAY[k])
+                if (target, source) == ("map", "lidar") and tree.error is not None and stamp_ns <= tree.newest_ns:
+                    return tree.message(tree.error @ WAY[k], stamp_ns)
                 raise LookupError("not in the tree")
 
             def clear(self): ...
@@ -246,11 +248,11 @@ class Tree:
         module.Buffer, module.TransformListener = Buffer, TransformListener
         return module
 
-    def message(self, T: np.ndarray):
+    def message(self, T: np.ndarray, stamp_ns: int = 0):
         turn = dict(zip("xyzw", Rotation.from_matrix(T[:3, :3]).as_quat().tolist(), strict=True))
         shift = dict(zip("xyz", T[:3, 3].tolist(), strict=True))
         transform = SimpleNamespace(translation=SimpleNamespace(**shift), rotation=SimpleNamespace(**turn))
-        return SimpleNamespace(transform=transform)
+        return SimpleNamespace(transform=transform, header=header(stamp_ns, ""))
 
 
 class TfTopic:
@@ -328,6 +330,24 @@ def test_who_is_lost_on_tf_is_told_so_and_once_where_he_is(host, tree, room):
     (own,) = robot.see(seen_from(7), WAY[7])
     assert own["verdict"] == "accepted"
     assert "not in the tree" in host.status()["worker"]["told_problem"]
+
+
+def test_who_tells_late_is_judged_once_for_each_pose(host, tree, room):
+    start(host, room, odometry="tf", told_by="tf", tf_timeout=0.0)
+    robot = Robot(host, odometry=False)
+    robot.see(seen_from(0), WAY[0], 2)
+    tree.newest_ns = 11 * SECOND
+    robot.see(seen_from(1), WAY[1], 2)
+    (own,) = robot.see(seen_from(2), WAY[2])  # what is newest was judged
+    assert own["origin"] == "motion"
+    tree.newest_ns = 12 * SECOND
+    told, _ = robot.see(seen_from(3), WAY[3], 2)  # 0.7 m further than what is newest
+    assert (told["origin"], told["verdict"]) == ("told", "accepted")
+    tree.newest_ns, tree.error = 13 * SECOND, make_pose(np.eye(3), (2.0, 0.0, 0.0))
+    told, _ = robot.see(seen_from(4), WAY[4], 2)
+    assert told["verdict"] == "rejected"
+    robot.see(seen_from(5, 1), WAY[5])  # 17 s later: nobody tells any more
+    assert "at 31.000000000 s" in host.status()["worker"]["told_problem"]
 
 
 def test_the_node_is_configured_again_and_looks_anew(host, room):

@@ -28,7 +28,7 @@ from svc_ros.ros.topics.poses import PoseBuffer
 
 _KEPT_ODOMETRY = 1000
 _MAX_SKEW_NS = 50_000_000  # what is told of a moment just before the first scan holds for that scan
-TOLD, _TOLD_FOR_NS = "told", 5_000_000_000  # who has told nothing for so long tells nothing wrong
+TOLD, TOLD_FOR_NS = "told", 5_000_000_000  # who has told nothing for so long tells nothing wrong
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,8 @@ class LocalizationEngine:
         self._config: Config | None = None
         self._way = PoseBuffer(_KEPT_ODOMETRY)  # T_odom_cloud of the last scans
         self._last: StreamDecision | None = None
-        self._last_ns, self._told_ns, self._num_told, self._told_problem = 0, -_TOLD_FOR_NS, 0, ""
+        self._last_ns, self._told_ns, self._judged_ns = 0, -TOLD_FOR_NS, 0
+        self._num_told, self._told_problem = 0, ""
 
     @classmethod
     def of_folder(
@@ -133,7 +134,7 @@ class LocalizationEngine:
         """The next scan is looked for in the whole map."""
         self._localiser, self._last = None, None
         self._way.clear()
-        self._told_ns, self._told_problem = -_TOLD_FOR_NS, ""
+        self._told_ns, self._judged_ns, self._told_problem = -TOLD_FOR_NS, 0, ""
 
     def warm_up(self, config: Config) -> None:
         """See `warm_up_loops`: the same is computed here."""
@@ -147,7 +148,7 @@ class LocalizationEngine:
         """State, keyframes of the map, and what is known of the poses that others tell."""
         localiser = self._localiser
         state = LocalisationState.SEARCHING if localiser is None else localiser.state
-        is_fresh = self._last_ns - self._told_ns < _TOLD_FOR_NS
+        is_fresh = self._last_ns - self._told_ns < TOLD_FOR_NS
         return {
             "state": state.value,
             "map_keyframes": len(self._map),
@@ -173,8 +174,8 @@ class LocalizationEngine:
             self._way.add(scan.stamp_ns, T_odom_cloud)
         try:
             told = self._sources.told(scan)
-            if told is None:
-                return None
+            if told is None or (told.stamp_ns and told.stamp_ns == self._judged_ns):
+                return None  # nothing new
             T_map_cloud = told.T_map_cloud
             if told.stamp_ns not in (0, scan.stamp_ns):
                 T_odom_then = self._way.at(told.stamp_ns, _MAX_SKEW_NS, 0.0)
@@ -183,7 +184,8 @@ class LocalizationEngine:
         except TransformUnavailableError as error:
             self._told_problem = str(error)
             return None
-        self._told_ns, self._num_told, self._told_problem = scan.stamp_ns, self._num_told + 1, ""
+        self._told_ns, self._judged_ns = scan.stamp_ns, told.stamp_ns
+        self._num_told, self._told_problem = self._num_told + 1, ""
         return T_map_cloud
 
     def _answer(self, decision: StreamDecision, job: ScanJob, start_s: float) -> Decision:

@@ -9,36 +9,43 @@ from rclpy.qos import QoSProfile
 from svc_ros.core.result import Verdict
 from svc_ros.ros.parameters import NodeSettings
 from svc_ros.ros.streams.decision import Decision
-from svc_ros.ros.streams.localization_engine import TOLD
+from svc_ros.ros.streams.localization_engine import TOLD, TOLD_FOR_NS
 from svc_ros.ros.topics.conversions import place_message
 
-_SCANS = 3  # in a row that know their place while nobody tells it rightly
+_IN_A_ROW = 3
 
 
 class InitialPoseGuard:
-    """Says when a place may be told: in the third scan in a row whose own place is accepted while what others tell is
-    rejected, or they tell nothing. Then not again before they were right once, or the place was lost and found.
+    """Says when a place may be told: when three scans in a row knew it, while three poses in a row that others told
+    were rejected, or nobody has told one for five seconds. Then not again before others were right once, or the place
+    was lost and found.
     """
 
     def __init__(self) -> None:
-        self._told: Verdict | None = None
-        self._num_sure, self._may_tell = 0, True
+        self.forget()
 
     def forget(self) -> None:
         """As at the start."""
-        self._told, self._num_sure, self._may_tell = None, 0, True
+        self._told_ns: int | None = None  # when others told something last, or else of the first scan
+        self._num_sure, self._num_wrong, self._may_tell = 0, 0, True
 
     def allows(self, decision: Decision) -> bool:
         """Take the next decision; True if the place that it has is to be told."""
+        stamp_ns = 0 if decision.source is None else decision.source.stamp_ns
+        if self._told_ns is None or decision.origin == TOLD or stamp_ns < self._told_ns:
+            self._told_ns = stamp_ns
         if decision.origin == TOLD:
-            self._told = decision.result.verdict
+            verdict = decision.result.verdict
+            self._num_wrong = self._num_wrong + 1 if verdict is Verdict.REJECTED else 0
+            self._may_tell = self._may_tell or verdict is Verdict.ACCEPTED
             return False
-        told, self._told = self._told, None
-        is_lost = decision.place is not None and decision.place.T_map_odom is None
-        self._may_tell = self._may_tell or is_lost or told is Verdict.ACCEPTED
-        is_sure = decision.result.accepted and decision.place is not None and told in (None, Verdict.REJECTED)
-        self._num_sure = self._num_sure + 1 if is_sure else 0
-        is_allowed = self._may_tell and self._num_sure >= _SCANS
+        self._may_tell = self._may_tell or (decision.place is not None and decision.place.T_map_odom is None)
+        if not decision.result.accepted or decision.place is None:
+            self._num_sure = self._num_wrong = 0
+            return False
+        self._num_sure += 1
+        is_wrong, is_silent = self._num_wrong >= _IN_A_ROW, stamp_ns - self._told_ns >= TOLD_FOR_NS
+        is_allowed = self._may_tell and self._num_sure >= _IN_A_ROW and (is_wrong or is_silent)
         self._may_tell = self._may_tell and not is_allowed
         return is_allowed
 
