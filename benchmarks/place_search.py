@@ -5,7 +5,7 @@
 Walks and drives that come back, recorded and simulated, one after the other as one sequence for each preset: each scan
 is asked for among all before it that are MIN_GAP_S older, those of other drives too. It is found if one of the first k
 stands within a few metres of it. PYTHON names an interpreter with map-closures (default: this one; without it, ours
-alone). map-closures is made for local maps: it gets single scans, and local maps of the last 10 scans, laid
+alone). map-closures is made for local maps: it gets single scans, and local maps of the last 5 scans, laid
 together by their true poses as its own pipeline does it, at two resolutions; ours sees single scans only.
 Writes place-search.json.
 """
@@ -13,6 +13,7 @@ Writes place-search.json.
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import subprocess
 import sys
@@ -37,10 +38,10 @@ from svc_ros.pipeline.place_search import PlaceIndex
 from svc_ros.simulation import DriveConfig, drive_scans
 
 NEAR_M = {"lidar_indoor": 2.0, "lidar_outdoor": 5.0}  # so near it is the same place
-RESOLUTIONS_M = {"lidar_indoor": (0.1, 0.5), "lidar_outdoor": (0.5, 1.0)}  # of map-closures; its own is 0.5
+RESOLUTIONS_M = {"lidar_indoor": (0.25, 0.5), "lidar_outdoor": (0.5, 1.0)}  # of map-closures; its own is 0.5
 MIN_GAP_S = 10.0
 FIRST = (1, 5, 10)
-LOCAL_MAPS = (1, 10)  # scans in each
+LOCAL_MAPS = (1, 5)  # scans in each
 MOST = 40  # that the peer is asked for, of which some are too young to count
 SEEDS = (0, 1)
 DRIVES = (("street", "OS1-64", "lidar_outdoor"), ("street", "VLP-16", "lidar_outdoor"),
@@ -94,7 +95,10 @@ def drives(preset_name: str, data: Path) -> Iterator[list[Seen]]:
         for seed in SEEDS if name == preset_name else ():
             label = f"{scene} {sensor} {seed}"
             config = DriveConfig(scene, sensor, NUM_SCANS, None, RATE_HZ, seed, there_and_back=True)
-            yield [Seen(label, found.cast.scan(), found.T_map_lidar) for found in drive_scans(config)]
+            yield [
+                Seen(label, dataclasses.replace(found.cast.scan(), stamp_ns=found.stamp_ns), found.T_map_lidar)
+                for found in drive_scans(config)
+            ]
 
 
 def old_enough(sequence: Sequence[Seen], number: int) -> Array:

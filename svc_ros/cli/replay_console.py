@@ -72,6 +72,8 @@ def _rows(summary: Mapping[str, Any]) -> dict[str, Any]:
     rows |= {name: count for name, count in summary["verdicts"].items() if count}
     rows |= {f"reason {name}": count for name, count in summary["reasons"].items()}
     rows["times as fast as recorded"] = summary["real_time_factor"]
+    if note := summary.get("optimized", {}).get("note"):
+        rows["no optimized trajectory"] = note
     reference = summary.get("reference")
     if reference is None:
         return rows
@@ -83,6 +85,10 @@ def _rows(summary: Mapping[str, Any]) -> dict[str, Any]:
         if errors is not None:
             rows[f"{name.upper()} of the trajectory, rmse [m]"] = errors["translation_m"]["rmse"]
             rows[f"{name.upper()} of the trajectory, rmse [deg]"] = errors["rotation_deg"]["rmse"]
+        optimized = reference.get("optimized", {}).get(name)
+        if optimized is not None:
+            rows[f"{name.upper()} after the loops, rmse [m]"] = optimized["translation_m"]["rmse"]
+            rows[f"{name.upper()} after the loops, rmse [deg]"] = optimized["rotation_deg"]["rmse"]
     return rows
 
 

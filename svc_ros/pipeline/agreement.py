@@ -10,25 +10,26 @@ from __future__ import annotations
 
 import dataclasses
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from svc_ros.core.config import Config
+from svc_ros.core.config import Config, values_of, with_values
 from svc_ros.core.result import Reason, Verdict
 from svc_ros.core.scan import Array
 from svc_ros.io.trajectories import Trajectory
-from svc_ros.pipeline.consistency import PlacedLoop, distance_between, fit_to_loops, fit_to_odometry, ways_of
+from svc_ros.pipeline.consistency import PlacedLoop, ways_of
+from svc_ros.pipeline.relations import MOST_GAIN, Relations
 from svc_ros.pipeline.stream import StreamDecision, leave_undecided
 
 ORIGIN = "agreement"
 Told = TypeVar("Told", bound=StreamDecision)
-_EXPECTED, _CONTRADICTS = 6.0, 22.5  # squared error of six degrees of freedom; all but one of 1000 right ones are below
-_LEAST_GAIN, _MOST_GAIN = np.log(3.0), np.log(20.0)  # a corridor that repeats has about so many places to be taken for
 _MOST_PIECES = 3  # more evidence than this changes nothing
 _FAILURE_BETWEEN = 0.001  # how often two right loops contradict each other, because odometry between them has failed
+_SHARES = (0.1, 0.3, 1.0)  # of the drift that is possible: most odometry is better, and tells wrong loops better then
+_AS_WELL, _MANY = 0.7, 4.0  # of the weight of the loops that agree; with fewer than so many nobody knows
 _LEAST_PROBABILITY, _MOST_PROBABILITY = 1e-3, 0.99
 _MAX_LOOPS = 500  # the newest; older ones keep the verdict they have
 _UNSURE_DEG = 1.0  # of the pose of an undecided loop, which comes without a covariance
@@ -42,7 +43,6 @@ class _Loop:
     raw: StreamDecision
     placed: PlacedLoop
     log_odds: float
-    is_contradicted: bool
     is_accepted: bool
 
     @property
@@ -65,6 +65,7 @@ class _Support:
 class _Opinion:
     log_odds: float
     support: _Support
+    is_contradicted: bool
     is_outweighed: bool
 
 
@@ -77,7 +78,7 @@ class Agreement:
     def __init__(self, config: Config) -> None:
         self._config, self._lock = config, threading.Lock()
         self._loops: list[_Loop] = []
-        self._gain, self._contradicts, self._is_same = _square(float), _square(bool), _square(bool)
+        self._relations = self._new_relations()
         wanted = max(config.loop_closure.min_probability, 0.5)
         self._wanted, self._failure = _log_odds(wanted), config.agreement.odometry_failure
 
@@ -85,7 +86,7 @@ class Agreement:
         """Forget all loops."""
         with self._lock:
             self._loops = []
-            self._gain, self._contradicts, self._is_same = _square(float), _square(bool), _square(bool)
+            self._relations = self._new_relations()
 
     def add(self, decisions: Iterable[StreamDecision], keyframes: Trajectory) -> list[StreamDecision]:
         """The decisions as they are to be told, each followed by what it changes of earlier ones.
@@ -116,7 +117,7 @@ class Agreement:
         loop.is_accepted = self._accepts(loop, opinion)
         if loop.is_accepted and not loop.was_accepted:
             return [decision, dataclasses.replace(_revised(loop.raw, loop, opinion), origin=ORIGIN)]
-        agrees_with_nothing = loop.is_contradicted and opinion.support.num_pieces == 0
+        agrees_with_nothing = opinion.is_contradicted and opinion.support.num_pieces == 0
         if loop.is_accepted or not (loop.was_accepted or agrees_with_nothing):
             return [decision]
         return [_revised(decision, loop, opinion)]
@@ -126,6 +127,14 @@ class Agreement:
         return has_support and opinion.log_odds >= self._wanted
 
     # what is known of each loop
+
+    def _new_relations(self) -> list[Relations]:
+        names = ("agreement.drift_ratio", "agreement.drift_deg_per_metre")
+        values = values_of(self._config)
+        return [
+            Relations(with_values(self._config, {n: max(share * float(values[n]), 1e-4) for n in names}))
+            for share in _SHARES
+        ]
 
     def _place(self, decision: StreamDecision, keyframes: Trajectory) -> PlacedLoop | None:
         result, source, target = decision.result, decision.T_odom_source, decision.T_odom_target
@@ -149,89 +158,64 @@ class Agreement:
         result = decision.result
         odds = self._wanted if result.probability is None else _log_odds(result.probability)
         odds = max(odds, self._wanted) if result.accepted else odds
-        contradicted = bool(fit_to_odometry(placed, self._config).sq_error[0] > _CONTRADICTS)
         light = dataclasses.replace(decision, scans=None, result=dataclasses.replace(result, evidence=None))
         others = [loop.placed for loop in self._loops]
-        self._loops.append(_Loop(light, placed, odds, contradicted, False))
-        gain, contradicts, is_same = np.zeros(0), np.zeros(0, bool), np.zeros(0, bool)
-        if others:
-            fit = fit_to_loops(placed, others, self._config)
-            spread = 2.0 * self._config.loop_closure.max_distance_m
-            gain = np.minimum(np.log(spread / (np.sqrt(2.0 * np.pi) * fit.sigma_m)), _MOST_GAIN)
-            gain -= 0.5 * np.maximum(fit.sq_error - _EXPECTED, 0.0)
-            gain = np.where(gain >= _LEAST_GAIN, gain, 0.0)
-            contradicts = fit.sq_error > _CONTRADICTS
-            is_same = distance_between(placed, others) < self._config.agreement.independent_m
-        self._gain = _grown(self._gain, gain)
-        self._contradicts, self._is_same = _grown(self._contradicts, contradicts), _grown(self._is_same, is_same)
+        self._loops.append(_Loop(light, placed, odds, False))
+        for relations in self._relations:
+            relations.add(placed, others)
         if len(self._loops) > _MAX_LOOPS:
             self._loops = self._loops[1:]
-            self._gain, self._contradicts = self._gain[1:, 1:], self._contradicts[1:, 1:]
-            self._is_same = self._is_same[1:, 1:]
+            for relations in self._relations:
+                relations.forget_first()
 
     # what the others make of it
 
     def _weigh(self) -> list[_Opinion]:
         """An opinion on each loop: the largest sets first, each loop against those of them that it contradicts."""
-        support = [self._support(i) for i in range(len(self._loops))]
-        alone = [self._odds(loop, s) for loop, s in zip(self._loops, support, strict=True)]
-        weights = self._weights(alone)
+        relations, support, alone, weights = self._assume()
         sure: list[int] = []
         opinions: dict[int, _Opinion] = {}
         for i in sorted(range(len(alone)), key=lambda i: (-weights[i], -alone[i])):
             loop, odds = self._loops[i], alone[i]
-            against = [alone[j] for j in sure if self._contradicts[i, j]]
+            against = [alone[j] for j in sure if relations.contradicts[i, j]]
             if against:
                 # What fools one loop may fool its neighbours: against surer ones they all are one piece of evidence.
                 doubt = np.log(_FAILURE_BETWEEN + (1.0 - _FAILURE_BETWEEN) * _probability(-max(against)))
-                odds = min(odds, loop.log_odds + min(support[i].plain, _MOST_GAIN) + float(doubt))
-            opinions[i] = _Opinion(odds, support[i], bool(against))
+                odds = min(odds, loop.log_odds + min(support[i].plain, MOST_GAIN) + float(doubt))
+            opinions[i] = _Opinion(odds, support[i], relations.by_odometry[i], bool(against))
             if self._accepts(loop, opinions[i]):
                 sure.append(i)
         return [opinions[i] for i in range(len(alone))]
 
-    def _weights(self, alone: Sequence[float]) -> NDArray[np.float64]:
-        """(L,), of each loop the weight of a set that it belongs to, in which no two contradict each other and each
-        agrees with another one; loops between the same places weigh once."""
-        weights = np.zeros(len(alone))
+    def _assume(self) -> tuple[Relations, list[_Support], list[float], NDArray[np.float64]]:
+        """With how little drift the loops still agree about as well as with all that is possible: relations, support,
+        log odds by support alone, and weights."""
         chances = np.array([_probability(loop.log_odds) for loop in self._loops])
-        for seed in sorted(range(len(alone)), key=lambda i: -alone[i]):
-            if weights[seed] > 0.0:
-                continue
-            members, is_free = [seed], ~self._contradicts[seed]
-            is_free[seed] = False
-            gain = np.where(is_free, self._gain[seed], 0.0)
-            while gain.max() > 0.0:
-                best = int(np.argmax(gain * chances))
-                members.append(best)
-                is_free &= ~self._contradicts[best]
-                is_free[best] = False
-                gain = np.where(is_free, np.maximum(gain, self._gain[best]), 0.0)
-            counted: list[int] = []
-            for j in sorted(members, key=lambda j: -chances[j]):
-                if not self._is_same[j, counted].any():
-                    counted.append(j)
-            weights[members] = np.maximum(weights[members], chances[counted].sum())
-        return weights
+        found = []
+        for relations in self._relations:
+            support = [self._support(i, relations) for i in range(len(self._loops))]
+            alone = [self._odds(i, relations, s) for i, s in enumerate(support)]
+            found.append((relations, support, alone, relations.weights(alone, chances)))
+        most = found[-1][-1].max()
+        enough = _AS_WELL * most if most >= _MANY else np.inf
+        return next((each for each in found if each[-1].max() >= enough), found[-1])
 
-    def _support(self, i: int) -> _Support:
+    def _support(self, i: int, relations: Relations) -> _Support:
         """What independent loops say for one."""
-        partners = np.flatnonzero((self._gain[i] > 0.0) & ~self._is_same[i])
+        gain = relations.gain[i]
+        partners = np.flatnonzero((gain > 0.0) & ~relations.is_same[i])
         chances = {j: _probability(self._loops[j].log_odds) for j in partners.tolist()}
-        worth = {j: float(np.log(p * np.exp(self._gain[i, j]) + 1.0 - p)) for j, p in chances.items()}
-        pieces: list[int] = []
-        for j in sorted(worth, key=lambda j: -worth[j]):
-            if len(pieces) < _MOST_PIECES and not self._is_same[j, pieces].any():
-                pieces.append(j)
+        worth = {j: float(np.log(p * np.exp(gain[j]) + 1.0 - p)) for j, p in chances.items()}
+        pieces = relations.pieces(sorted(worth, key=lambda j: -worth[j]), _MOST_PIECES)
         plain = sum(worth[j] for j in pieces)
         shared = plain - sum(float(np.log(1.0 - chances[j] + chances[j] * self._failure)) for j in pieces)
         return _Support(plain, shared, len(pieces), any(self._loops[j].was_accepted for j in pieces))
 
-    def _odds(self, loop: _Loop, support: _Support) -> float:
+    def _odds(self, i: int, relations: Relations, support: _Support) -> float:
         """With the word of odometry, which where it failed did so for all loops at once."""
-        if loop.is_contradicted:
-            return loop.log_odds + float(np.log(self._failure)) + support.shared
-        return loop.log_odds + support.plain
+        if relations.by_odometry[i]:
+            return self._loops[i].log_odds + float(np.log(self._failure)) + support.shared
+        return self._loops[i].log_odds + support.plain
 
 
 def _revised(decision: StreamDecision, loop: _Loop, opinion: _Opinion) -> StreamDecision:
@@ -250,7 +234,7 @@ def _why(loop: _Loop, opinion: _Opinion) -> str:
     others = f"{opinion.support.num_pieces} independent loop{'s' if opinion.support.num_pieces != 1 else ''}"
     if loop.is_accepted:
         return f"confirmed by {others}" if opinion.support.num_pieces else "no longer contradicted by surer loops"
-    speaks = {"odometry": loop.is_contradicted, "surer loops": opinion.is_outweighed}
+    speaks = {"odometry": opinion.is_contradicted, "surer loops": opinion.is_outweighed}
     witnesses = [name for name, against in speaks.items() if against]
     against = f"contradicted by {' and '.join(witnesses)}" if witnesses else "no longer confirmed"
     return f"{against}, and {others if opinion.support.num_pieces else 'no independent loop'} agrees with it"
@@ -269,17 +253,6 @@ def last_words(decisions: Iterable[Told]) -> list[Told]:
             last = [earlier for earlier in last if pair_of(earlier) != pair_of(decision)]
         last.append(decision)
     return last
-
-
-def _square(kind: type) -> NDArray[np.generic]:
-    return np.zeros((0, 0), kind)
-
-
-def _grown(square: NDArray[np.generic], row: NDArray[np.generic]) -> NDArray[np.generic]:
-    """With one more row and column; nothing on the diagonal."""
-    grown = np.zeros((len(square) + 1, len(square) + 1), square.dtype)
-    grown[:-1, :-1], grown[-1, :-1], grown[:-1, -1] = square, row, row
-    return grown
 
 
 def _log_odds(probability: float) -> float:

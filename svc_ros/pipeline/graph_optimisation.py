@@ -17,6 +17,7 @@ from svc_ros.core import se3
 from svc_ros.core.errors import MissingDependencyError
 from svc_ros.core.scan import Array
 from svc_ros.io.g2o import GraphEdge, PoseGraph, adjoint
+from svc_ros.io.trajectories import Trajectory
 
 _MAX_ITERATIONS, _TOLERANCE = 100, 1e-9
 _TURNS_FIRST = np.array([3, 4, 5, 0, 1, 2])  # gtsam's order; taken twice it is the order it was
@@ -35,35 +36,56 @@ class OptimisedGraph:
     covariances: Array
 
 
-def optimise(graph: PoseGraph) -> OptimisedGraph:
-    """The poses with the least weighted squares of what the edges measured; the first vertex stays where it is.
+def optimise_poses(graph: PoseGraph) -> Array:
+    """The poses (N, 4, 4) with the least weighted squares of what the edges measured; the first vertex stays.
 
     A part that no edges join to the first vertex is optimised by itself, around its own first vertex. The poses of the
     graph are what it begins with. Raises MissingDependencyError where gtsam is missing, or cannot run here.
     """
-    gtsam = load_gtsam()
-    num = len(graph.poses)
-    poses, covariances = graph.poses.copy(), np.zeros((num, 6, 6))
-    if num == 0:
-        return OptimisedGraph(poses, covariances)
-    part = _parts(graph)
-    fixed = np.unique(part, return_index=True)[1][part] == np.arange(num)
-    covariances[part != part[0]] = np.diag(np.full(6, np.inf))
+    gtsam, poses = load_gtsam(), graph.poses.copy()
+    fixed = _fixed(_parts(graph))
     if fixed.all():
-        return OptimisedGraph(poses, covariances)
-    factors = factors_of(graph, fixed)
-    first = gtsam.Values()
-    for vertex in np.flatnonzero(~fixed).tolist():
+        return poses
+    first, free = gtsam.Values(), np.flatnonzero(~fixed).tolist()
+    for vertex in free:
         first.insert(vertex, gtsam.Pose3(poses[vertex]))
-    found = gtsam.LevenbergMarquardtOptimizer(factors, first, optimiser_parameters()).optimize()
-    marginals = gtsam.Marginals(factors, found)
-    for vertex in np.flatnonzero(~fixed).tolist():
+    found = gtsam.LevenbergMarquardtOptimizer(factors_of(graph, fixed), first, optimiser_parameters()).optimize()
+    for vertex in free:
         poses[vertex] = se3.nearest_pose(found.atPose3(vertex).matrix())
-        if part[vertex] == part[0]:
-            to_world = adjoint(poses[vertex])
-            on_the_right = marginals.marginalCovariance(vertex)[np.ix_(_TURNS_FIRST, _TURNS_FIRST)]
-            covariances[vertex] = to_world @ on_the_right @ to_world.T
+    return poses
+
+
+def optimise(graph: PoseGraph) -> OptimisedGraph:
+    """The poses as `optimise_poses` finds them, and how well they are known, which takes as long again."""
+    gtsam, poses = load_gtsam(), optimise_poses(graph)
+    covariances, part = np.zeros((len(poses), 6, 6)), _parts(graph)
+    fixed = _fixed(part)
+    if fixed.all():
+        covariances[part != part[:1]] = np.diag(np.full(6, np.inf))
+        return OptimisedGraph(poses, covariances)
+    values = gtsam.Values()
+    for vertex in np.flatnonzero(~fixed).tolist():
+        values.insert(vertex, gtsam.Pose3(poses[vertex]))
+    marginals = gtsam.Marginals(factors_of(graph, fixed), values)
+    covariances[part != part[0]] = np.diag(np.full(6, np.inf))
+    for vertex in np.flatnonzero(~fixed & (part == part[0])).tolist():
+        to_world = adjoint(poses[vertex])
+        on_the_right = marginals.marginalCovariance(vertex)[np.ix_(_TURNS_FIRST, _TURNS_FIRST)]
+        covariances[vertex] = to_world @ on_the_right @ to_world.T
     return OptimisedGraph(poses, covariances)
+
+
+def correct_trajectory(odometry: Trajectory, keyframes: Trajectory, optimised: Array) -> Trajectory:
+    """The poses of odometry with what optimising changed of the keyframes; optimised: (N, 4, 4), of these.
+
+    Between two keyframes the change is interpolated, before the first and after the last one it is theirs.
+    """
+    if len(keyframes) == 0:
+        return odometry
+    changes = Trajectory(keyframes.stamps_ns, se3.invert(keyframes.poses) @ optimised)
+    within = np.clip(odometry.stamps_ns, keyframes.stamps_ns[0], keyframes.stamps_ns[-1])
+    poses = [T @ changes.at(int(stamp)) for T, stamp in zip(odometry.poses, within, strict=True)]
+    return Trajectory(odometry.stamps_ns, np.array(poses).reshape(-1, 4, 4))
 
 
 @functools.cache
@@ -118,6 +140,13 @@ def _parts(graph: PoseGraph) -> NDArray[np.int64]:
     num = len(graph.poses)
     joined = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(num, num))
     return np.asarray(connected_components(joined, directed=False)[1], np.int64)
+
+
+def _fixed(part: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(N,), the first vertex of each part."""
+    fixed = np.zeros(len(part), bool)
+    fixed[np.unique(part, return_index=True)[1]] = True
+    return fixed
 
 
 def _on_the_right(edge: GraphEdge) -> Array:

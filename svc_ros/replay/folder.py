@@ -13,11 +13,13 @@ from svc_ros.core.errors import InputError
 from svc_ros.io.bags.result_writer import UNFINISHED
 from svc_ros.io.g2o import write_g2o
 from svc_ros.io.trajectories import Trajectory, write_tum
-from svc_ros.replay.job import CONFIG, DECISIONS, GRAPH, REPORT, RESULTS, SUMMARY, TRAJECTORY, ReplayJob
+from svc_ros.replay.job import CONFIG, DECISIONS, GRAPH, OPTIMIZED, REPORT, RESULTS, SUMMARY, TRAJECTORY, ReplayJob
 from svc_ros.replay.modes import Replay
+from svc_ros.replay.optimised import OptimisedWay, optimise_way
 from svc_ros.replay.outputs import DecisionFiles
 from svc_ros.replay.resume import Earlier
 from svc_ros.replay.summary import Tally, trajectory_numbers, versions
+from svc_ros.replay.track import LoopTrack
 from svc_ros.report.report import write_report
 from svc_ros.report.scenes import SceneKeeper
 
@@ -37,7 +39,7 @@ class RunFolder:
         still_needed = (DECISIONS,) if self._earlier.records else ()
         try:
             out.mkdir(parents=True, exist_ok=True)
-            for name in {TRAJECTORY, GRAPH, REPORT, DECISIONS, RESULTS}.difference(still_needed):
+            for name in {TRAJECTORY, OPTIMIZED, GRAPH, REPORT, DECISIONS, RESULTS}.difference(still_needed):
                 (out / name).unlink(missing_ok=True)
             for folder in out.glob(UNFINISHED):  # of a writer that was killed
                 shutil.rmtree(folder)
@@ -65,10 +67,15 @@ class RunFolder:
         trajectory, graph = track.trajectory(), track.graph()
         write_tum(out / TRAJECTORY, trajectory)
         write_g2o(out / GRAPH, graph)
+        optimised = None
+        if isinstance(track, LoopTrack):
+            optimised = optimise_way(trajectory, track.keyframes, graph)
+            optimised.write(out / OPTIMIZED)
         numbers = {
             "trajectory": {"num_poses": len(trajectory), "num_parts": track.num_parts},
             "graph": {"num_vertices": len(graph.poses), "num_edges": len(graph.edges)},
-            **self._compared(trajectory), **({"error": error} if error else {}),
+            **({} if optimised is None else {"optimized": optimised.numbers()}),
+            **self._compared(trajectory, optimised), **({"error": error} if error else {}),
         }  # fmt: skip
         summary = self._write_summary(numbers)
         if self._job.report:
@@ -79,7 +86,7 @@ class RunFolder:
             summary = self._write_summary({**numbers, "report_time_s": time.monotonic() - begun})
         return summary
 
-    def _compared(self, trajectory: Trajectory) -> dict[str, Any]:
+    def _compared(self, trajectory: Trajectory, optimised: OptimisedWay | None) -> dict[str, Any]:
         """Errors against the reference; nothing without one."""
         reference, job = self._replay.reference, self._job
         if reference is None:
@@ -87,6 +94,7 @@ class RunFolder:
         numbers = {
             "file": str(job.reference), "frame": job.reference_frame, **self.tally.reference_numbers(),
             **trajectory_numbers(trajectory, reference, self.tally.frame_id),
+            **({} if optimised is None else optimised.compared(reference, self.tally.frame_id)),
         }  # fmt: skip
         loops = {"false_loops": self.tally.num_false} if job.mode == "loop_closure" else {}
         return {"reference": numbers, **loops}

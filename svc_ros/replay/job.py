@@ -22,6 +22,7 @@ MODES = ("pair", "scan_matching", "loop_closure", "localization")
 WITH_ODOMETRY = ("loop_closure", "localization")
 
 DECISIONS, RESULTS, TRAJECTORY, GRAPH = "decisions.jsonl", "results.mcap", "trajectory_tum.txt", "loops.g2o"
+OPTIMIZED = "trajectory_optimized_tum.txt"
 CONFIG, SUMMARY, REPORT = "config.yaml", "summary.json", "report.html"
 _CHOSEN = ("mode", "start_s", "duration_s", "stride", "sensor_frame", "odometry_frame", "reference_frame")
 

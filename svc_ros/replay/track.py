@@ -129,6 +129,11 @@ class LoopTrack(StreamTrack):
         self._links = [d for d in self._links if pair_of(d) not in revised]
         super().add(step)
 
+    @property
+    def keyframes(self) -> Trajectory:
+        """Odometry of the graph's vertices."""
+        return self._closer.keyframe_poses
+
     def graph(self) -> PoseGraph:
         """See Track; as the node's g2o file has it."""
         keyframes = self._closer.keyframe_poses

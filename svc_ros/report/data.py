@@ -29,11 +29,12 @@ Record = Mapping[str, Any]
 @dataclass(frozen=True, eq=False)
 class Run:
     """The folder of a replay. records: one a decision, with the last word on it; notes: what is missing, as sentences;
-    config: None where the folder has none."""
+    optimized: the way after the loops, where it was computed; config: None where the folder has none."""
 
     records: Sequence[Record] = ()
     summary: Mapping[str, Any] = field(default_factory=dict)
     trajectory: Trajectory | None = None
+    optimized: Trajectory | None = None
     config: Config | None = None
     notes: Sequence[str] = ()
 
@@ -51,11 +52,13 @@ def read_run(folder: Path) -> Run:
     decisions = there("decisions.jsonl", "there are no decisions to show")
     summary = there("summary.json", "the page cannot tell what was replayed")
     trajectory = there("trajectory_tum.txt", "the way is drawn from the reference or from accepted pairs, if at all")
+    optimized = folder / "trajectory_optimized_tum.txt"
     config = there("config.yaml", "the borders of the decision are those of the default preset")
     return Run(
         [] if decisions is None else _last_words(read_jsonl(decisions)),
         {} if summary is None else _read_json(summary),
         None if trajectory is None or not trajectory.stat().st_size else read_tum(trajectory),
+        read_tum(optimized) if optimized.is_file() and optimized.stat().st_size else None,
         None if config is None else read_config(config, preset("lidar_outdoor")),
         notes,
     )

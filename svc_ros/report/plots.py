@@ -103,7 +103,8 @@ def _percentile(values: Sequence[float], q: float) -> float:
 
 
 def map_from_above(run: Run, reference: Trajectory | None, drawn: Sequence[int]) -> dict[str, Any]:
-    """The way, the reference (moved rigidly onto it), and a link for every drawn decision on two placed scans.
+    """The way, the same after the loops, the reference (moved rigidly onto the way), and a link for every drawn
+    decision on two placed scans.
 
     Coordinates [m] are x and y of the trajectory, or of the reference where there is none, or of scans placed by
     accepted pairs where there is neither.
@@ -125,6 +126,7 @@ def map_from_above(run: Run, reference: Trajectory | None, drawn: Sequence[int])
     return {
         "basis": basis,
         "way": _xy(way),
+        "optimized": _xy(run.optimized),
         "reference": _xy(drawn_reference),
         "links": links,
         "num_unplaced": unplaced,

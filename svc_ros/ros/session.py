@@ -36,6 +36,7 @@ from svc_ros.ros.streams.worker import DropJob, Job, PairJob, Worker
 from svc_ros.ros.topics.conversions import status_name
 from svc_ros.ros.topics.frames import Frames
 from svc_ros.ros.topics.inputs import CLOUD_INPUTS, Inputs
+from svc_ros.ros.topics.optimised_path import OptimisedPath
 from svc_ros.ros.topics.outputs import Outputs
 from svc_ros.ros.topics.sources import Sources
 
@@ -67,6 +68,7 @@ class Session:
             self.outputs = Outputs(node, settings, self.frames, lambda: self.is_active)
             undo.callback(self.outputs.destroy)
             undo.callback(self.outputs.finish, 0.0)
+            self._optimised = self._make_optimised(undo)
             self._first_choice = FirstChoice(parameters, Sources(self, parameters).origin, node.get_logger().info)
             self.inputs = Inputs(node, parameters, self.statistics, self._take)
             undo.pop_all()
@@ -87,6 +89,8 @@ class Session:
         end = time.monotonic() + timeout_s
         self.judges.close("the node was stopped")
         is_done = self.worker.stop(timeout_s) and self.judges.join(max(end - time.monotonic(), 0.0))
+        if self._optimised is not None:
+            self._optimised.stop(max(end - time.monotonic(), 0.0))
         self.outputs.finish(min(max(end - time.monotonic(), 0.0) + _FINISH_S, _MOST_S))
         try:
             self.write_graph()
@@ -98,8 +102,9 @@ class Session:
         """Give everything back to the node; `stop` comes first."""
         self._node.remove_on_set_parameters_callback(self._check_change)
         self._jumps.unregister()
-        for part in (self.inputs, self.outputs, self.frames):
-            part.destroy()
+        for part in (self.inputs, self.outputs, self._optimised, self.frames):
+            if part is not None:
+                part.destroy()
         self._node.destroy_publisher(self._diagnostics)
 
     def tell(self) -> None:
@@ -118,6 +123,8 @@ class Session:
         with contextlib.suppress(InvalidHandle):
             self._diagnostics.publish(message)
             self.outputs.publish_path(settings)
+            if self._optimised is not None:
+                self._optimised.tell()
 
     @property
     def has_graph(self) -> bool:
@@ -191,6 +198,14 @@ class Session:
                 check_place("graph_file", graph_file)
             return LoopEngine(sources, settings.odometry == "own", self.judges.wait, graph_file)
         return PairRegistrar(sources.origin, sources.guess)
+
+    def _make_optimised(self, undo: contextlib.ExitStack) -> OptimisedPath | None:
+        if not isinstance(self.engine, LoopEngine):
+            return None
+        sources = Sources(self, self._parameters)
+        made = OptimisedPath(self._node, self.engine.graph, lambda: sources.odometry_frame)
+        undo.callback(made.destroy)
+        return made
 
     # on the executor's thread
 

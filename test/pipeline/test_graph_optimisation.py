@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 from svc_ros.core import se3
 from svc_ros.core.errors import MissingDependencyError
 from svc_ros.io.g2o import GraphEdge, PoseGraph
+from svc_ros.io.trajectories import Trajectory
 from svc_ros.pipeline import graph_optimisation
-from svc_ros.pipeline.graph_optimisation import optimise
+from svc_ros.pipeline.graph_optimisation import correct_trajectory, optimise
 
 pytest.importorskip("gtsam", reason="gtsam not installed: pip install 'svc_ros[graph]'")
 SIGMAS = np.array([0.05, 0.04, 0.03, 0.01, 0.02, 0.015])
@@ -172,3 +173,24 @@ def test_wheels_that_would_end_the_process_are_not_imported(monkeypatch: pytest.
     graph_optimisation.load_gtsam.cache_clear()
     with pytest.raises(MissingDependencyError, match="numpy<2"):
         graph_optimisation.load_gtsam()
+
+
+def test_between_keyframes_the_correction_is_interpolated() -> None:
+    graph = random_graph(12, 4, [(0, 3)])
+    keyframes = Trajectory(np.array([10, 20, 30, 40]), graph.poses)
+    found = optimise(graph)
+    stamps = np.array([5, 10, 15, 40, 50])
+    odometry = Trajectory(stamps, np.stack([keyframes.at(min(max(int(s), 10), 40)) for s in stamps]))
+    way = correct_trajectory(odometry, keyframes, found.poses)
+    assert way.stamps_ns.tolist() == stamps.tolist()
+    for k, vertex in ((0, 0), (1, 0), (3, 3), (4, 3)):
+        np.testing.assert_allclose(way.poses[k], found.poses[vertex], atol=1e-9)
+    change = se3.invert(odometry.poses[2]) @ way.poses[2]
+    full = [se3.invert(graph.poses[k]) @ found.poses[k] for k in (0, 1)]
+    np.testing.assert_allclose(change[:3, 3], 0.5 * (full[0] + full[1])[:3, 3], atol=1e-9)
+
+
+def test_without_keyframes_odometry_stays() -> None:
+    odometry = Trajectory(np.array([1, 2]), random_graph(0, 2, []).poses)
+    nothing = Trajectory(np.zeros(0, np.int64), np.zeros((0, 4, 4)))
+    assert correct_trajectory(odometry, nothing, np.zeros((0, 4, 4))) is odometry

@@ -11,8 +11,8 @@ from places import PROJECT_ROOT
 from svc_ros.io.maps.layout import ARRAYS, file_name
 
 SIZES = (
-    "keyframes", "points", "size_mb", "read_s", "search_ms_p50", "search_ms_p95", "before_mb", "read_mb", "searched_mb",
-    "visited_mb", "optimise_s",
+    "keyframes", "points", "size_mb", "read_s", "search_ms_p50", "search_ms_p95", "search_processor_ms_p50",
+    "search_processor_ms_p95", "before_mb", "read_mb", "searched_mb", "visited_mb", "optimise_s",
 )  # fmt: skip
 PAGE = (PROJECT_ROOT / "docs" / "map.md").read_text("utf-8")
 
@@ -43,3 +43,13 @@ def test_sizes_are_those_that_were_measured():
     found = json.loads((PROJECT_ROOT / "benchmarks" / "results" / "map-size.json").read_text("utf-8"))
     told = [row[1] for row in rows("map size", PAGE)]
     assert told == [f"{found[name]:.2f}" if found[name] < 1.0 else f"{found[name]:.0f}" for name in SIZES]
+
+
+def test_recalls_are_those_that_were_measured():
+    results = json.loads((PROJECT_ROOT / "benchmarks" / "results" / "place-search.json").read_text("utf-8"))["results"]
+    measured = [
+        [name, label, *(f"{row[f'recall at {k}']:.2f}" for k in (1, 5, 10)), f"{row['ms a scan']:.1f}"]
+        for name, result in results.items()
+        for label, row in result["rows"].items()
+    ]
+    assert rows("place search", PAGE) == measured

@@ -22,6 +22,7 @@ from replay_cases import (
     CONFIG,
     KNOWN,
     OUTPUTS,
+    OUTPUTS_OF,
     STAMPS,
     WAY,
     StopAfter,
@@ -75,7 +76,7 @@ def mcap_counts(path: Path) -> dict[str, int]:
 @pytest.mark.parametrize("mode", MODES)
 def test_every_mode_leaves_every_file(runs: dict[str, Path], mode: str) -> None:
     out = runs[mode]
-    assert {path.name for path in out.iterdir()} == OUTPUTS
+    assert {path.name for path in out.iterdir()} == OUTPUTS_OF[mode]
     rows, summary = read_decisions(out), summary_of(out)
     assert len(rows) == NUM_DECISIONS[mode]
     assert (summary["state"], summary["interrupted"]) == ("complete", False)
@@ -258,7 +259,7 @@ def test_progress_ends_where_the_bag_does(bag: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("mode", MODES)
 def test_an_interrupted_replay_has_complete_outputs(bag: Path, tmp_path: Path, mode: str) -> None:
     summary = replay_bag(job(bag, tmp_path, mode), should_stop=StopAfter(4))
-    assert {path.name for path in tmp_path.iterdir()} == OUTPUTS
+    assert {path.name for path in tmp_path.iterdir()} == OUTPUTS_OF[mode]
     assert (summary["state"], summary["interrupted"], summary["num_scans"]) == ("interrupted", True, 4)
     rows = read_decisions(tmp_path)
     assert len(rows) == summary["num_decisions"]
@@ -285,7 +286,7 @@ def test_a_bag_that_breaks_off_leaves_what_was_decided(
     with pytest.raises(InputError, match="it is truncated"):
         replay_bag(job(bag, tmp_path, mode))
     monkeypatch.undo()
-    assert {path.name for path in tmp_path.iterdir()} == OUTPUTS
+    assert {path.name for path in tmp_path.iterdir()} == OUTPUTS_OF[mode]
     summary, rows = summary_of(tmp_path), read_decisions(tmp_path)
     assert (summary["state"], summary["num_scans"]) == ("failed", 5)
     assert "truncated" in summary["error"]
@@ -312,13 +313,14 @@ def test_the_page_names_what_there_is(runs: dict[str, Path], bag: Path, tmp_path
     named = {name for row in tables for name in re.findall(r"`([^`]+)`", row[0])}
     chosen = replay_bag(dataclasses.replace(job(bag, tmp_path / "auto"), preset="auto"))
     summaries = [chosen, *(summary_of(out) for out in runs.values())]
-    known = {name for summary in summaries for name in summary} | set(MODES) | OUTPUTS | {"report.html"}
+    files = OUTPUTS_OF["loop_closure"] | {"report.html"}
+    known = {name for summary in summaries for name in summary} | set(MODES) | files
     done = subprocess.run([sys.executable, "-m", "svc_ros", "replay", "--help"], capture_output=True, text=True)
     options = {name.partition(" ")[0] for name in named if name.startswith("--")}
     assert options
     assert {name for name in options if name not in done.stdout} == set()
     assert {name for name in named if not name.startswith("--")} - known == set()
-    assert OUTPUTS | {"report.html"} | set(MODES) <= named
+    assert files | set(MODES) <= named
     topics = {*RESULT_TOPICS, *PICTURE_TOPICS}
     assert all(f"`{topic}`" in page for topic in topics)
     assert "more than 5 deg or 0.6 m" in page

@@ -13,7 +13,8 @@ pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from mini_data import POSES, pose_between, scan_room, sensor_pose
-from nav_msgs.msg import Odometry
+from nav_msgs.msg import Odometry, Path
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_bench import SECOND, StreamBench, cloud, recorded_clouds
 from std_srvs.srv import Trigger
 from yardstick import PATIENCE_S, Stopwatch, assert_ends_within
@@ -237,6 +238,19 @@ def test_loops_by_own_motion_and_their_graph(bench, folder):
     assert answer.success
     assert str(folder / "room.g2o") in answer.message
     assert len(read_g2o(folder / "room.g2o").edges) == len(WAY) - 1 + len(loops)
+
+
+def test_the_way_after_the_loops_is_a_path_for_who_subscribes(bench):
+    pytest.importorskip("gtsam", reason="gtsam not installed: pip install 'svc_ros[graph]'")
+    paths, latched = [], QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    bench.node.create_subscription(Path, "/svc_registration/optimized_path", paths.append, latched)
+    assert spin_until(bench.executor, lambda: paths, PATIENCE_S), bench.process.output()
+    assert paths[-1].header.frame_id == "odom"
+    assert [ns_from_stamp(p.header.stamp) for p in paths[-1].poses] == [
+        round((100.0 + 0.1 * k) * SECOND) for k in range(len(WAY))
+    ]
+    for pose, x in zip(paths[-1].poses, WAY, strict=True):
+        assert abs(pose.pose.position.x - x) < 0.1
 
 
 def test_each_walk_after_a_reset_has_a_graph_of_its_own(bench, folder):

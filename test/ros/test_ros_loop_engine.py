@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 
 import numpy as np
@@ -13,6 +14,7 @@ from yardstick import PATIENCE_S
 from svc_ros.core.config import preset, with_values
 from svc_ros.core.errors import InputError
 from svc_ros.core.result import Reason
+from svc_ros.core.se3 import make_pose
 from svc_ros.io.clouds.point_cloud2 import scan_from_cloud
 from svc_ros.io.g2o import read_g2o
 from svc_ros.pipeline import loop_closure
@@ -234,3 +236,34 @@ def test_at_every_moment_each_scan_is_pending_without_candidate_or_decided(held)
     bench.judges.wait()
     assert counts() == (0, 5, 5)
     assert statistics.numbers()["reasons"] == {"superseded": 2, "inactive": 2, "ok": 1}
+
+
+def test_a_later_word_is_told_after_what_caused_it_as_in_a_replay(monkeypatch, tmp_path) -> None:
+    """The first loop is accepted and 3 m off: odometry may have drifted by so much; the next loops say otherwise."""
+
+    def judge(source, target, guess, config):
+        result = judge_candidate(source, target, guess, config)
+        if source.scan.stamp_ns != 5 * S:
+            return result
+        T = make_pose(np.eye(3), (0.0, 3.0, 0.0)) @ result.T_target_source
+        return dataclasses.replace(result, T_target_source=T, best_candidate=T, probability=0.9)
+
+    monkeypatch.setattr(loop_closure, "judge_candidate", judge)
+    config = with_values(CONFIG, {"agreement.drift_ratio": 0.25, "agreement.independent_m": 0.5})
+    closer = LoopCloser(config)
+    messages = [plain_cloud(points, k * S).message for k, points in enumerate(SCANS)]
+    replayed = [closer.add(scan_from_cloud(message).scan, WAY[k]) for k, message in enumerate(messages)]
+    bench = Bench(3, tmp_path / "loops.g2o")
+    bench.walk(capacity=1, every=True, config=config)
+    bench.judges.wait()
+
+    def words(told):
+        return [[(d.result.verdict, d.result.reason, d.origin, d.result.detail) for d in job] for job in told]
+
+    assert words(bench.told) == words(replayed)
+    (withdrawn,) = (d for job in bench.told for d in job if d.origin == "agreement" and d.source.stamp_ns == 5 * S)
+    assert withdrawn.result.reason is Reason.UNCONFIRMED
+    assert withdrawn.vertices == (5, 0)
+    assert bench.engine.numbers() == {"keyframes": 10, "loops": 4}
+    bench.engine.write_graph()
+    assert 5 not in {edge.source for edge in read_g2o(tmp_path / "loops.g2o").edges[9:]}

@@ -13,6 +13,7 @@ from yardstick import PATIENCE_S
 
 from svc_ros.core.config import preset
 from svc_ros.core.errors import TransformUnavailableError
+from svc_ros.core.kernels.place import correlate
 from svc_ros.core.result import Reason, Verdict
 from svc_ros.core.se3 import pose_error
 from svc_ros.ros.streams import registrar as registrar_module
@@ -221,5 +222,6 @@ def test_warm_up_runs_the_whole_registration(name, monkeypatch):
     assert same.verdict is Verdict.ACCEPTED
     assert other.verdict is not Verdict.ACCEPTED
     assert other.time_ms["levelled"] > 0  # what only hard pairs need was run as well
+    assert correlate.signatures  # nor is anything compiled when a place is searched for
     warm_up(preset(name))
     assert len(results) == 2  # a process that is warm has nothing to do

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,9 @@ KNOWN = WAY[:4:3]  # what a map has of it, of an earlier day
 KNOWN_STAMPS = [START_NS - (90_000 - k) * 1_000_000_000 for k in range(len(KNOWN))]
 MOUNTING = se3.make_pose(Rotation.from_euler("z", 20, degrees=True).as_matrix(), (0.3, 0.0, 1.2))
 OUTPUTS = {"decisions.jsonl", "trajectory_tum.txt", "loops.g2o", "results.mcap", "config.yaml", "summary.json"}
+
+OPTIMIZED = {"trajectory_optimized_tum.txt"} if importlib.util.find_spec("gtsam") else set()  # needs an extra
+OUTPUTS_OF = {mode: OUTPUTS | (OPTIMIZED if mode == "loop_closure" else set()) for mode in MODES}
 
 
 def write_room_bag(path: Path, broken: tuple[int, ...] = ()) -> Path:
@@ -75,7 +79,8 @@ def job(bag: Path, out: Path, mode: str = "pair", **more: Any) -> ReplayJob:
         more = {"map_folder": room_map(bag.parent / "map"), **more}
         if "reference" in more:
             more = {"map_reference": write_map_reference(bag.parent / "map_reference.txt"), **more}
-    return ReplayJob(bag, out, CONFIG, "lidar_indoor", mode, **{"report": False, **more})
+    config = more.pop("config", CONFIG)
+    return ReplayJob(bag, out, config, "lidar_indoor", mode, **{"report": False, **more})
 
 
 def replay_in_all_modes(bag: Path, folder: Path) -> dict[str, Path]:

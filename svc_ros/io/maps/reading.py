@@ -96,13 +96,14 @@ class MapFiles:
             self._files[name].mapped(int(row[first]), int(row[num])) for first, num, names in _PARTS for name in names
         )
         try:
-            image = restore_range_image(  # not mapped: kernels that change images would be compiled once more
+            # Copies, aligned and writable as those of a new scan: kernels are not compiled for other ones.
+            image = restore_range_image(
                 near.copy(), far.copy(), _pair(row["cell_size_deg"]), (int(row["first_row"]), int(row["num_rows"])),
                 _pair(row["cell_ratios"]),
             )  # fmt: skip
             return PreparedScan(
-                points, normals, row["sensor_origin"], self.config.preprocess.voxel_size_m, int(row["stamp_ns"]),
-                session.frame_id, float(row["beam_spacing_deg"]), directions, image,
+                points, normals, np.array(row["sensor_origin"]), self.config.preprocess.voxel_size_m,
+                int(row["stamp_ns"]), session.frame_id, float(row["beam_spacing_deg"]), directions, image,
             )  # fmt: skip
         except InputError as error:
             raise InputError(f"{self.folder}: keyframe {index}: {error}") from None

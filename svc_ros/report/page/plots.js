@@ -159,6 +159,7 @@ function drawMap() {
   const traces = [];
   if (map.reference.length) traces.push(line(map.reference, "reference", { color: css("soft"), width: 1.5, dash: "dot" }));
   if (map.way.length) traces.push(line(map.way, "way", { color: css("ring"), width: 5 }));
+  if (map.optimized.length) traces.push(line(map.optimized, "optimized", { color: css("accent"), width: 2 }));
   let drawn = 0;
   for (const verdict of ["dropped", "accepted", "undecided", "rejected"]) {
     const links = map.links[verdict];
@@ -175,7 +176,7 @@ function drawMap() {
     });
     for (const [k, x0, y0, x1, y1] of links) places.map.set(k, [(x0 + x1) / 2, (y0 + y1) / 2]);
   }
-  const spanned = [...map.way, ...VERDICTS.flatMap((v) => map.links[v].flatMap(([, x0, y0, x1, y1]) => [[x0, y0], [x1, y1]]))];
+  const spanned = [...map.way, ...map.optimized, ...VERDICTS.flatMap((v) => map.links[v].flatMap(([, x0, y0, x1, y1]) => [[x0, y0], [x1, y1]]))];
   const range = (k) => { // of the way and the links; the reference may lead far away
     if (!spanned.length) return {};
     const low = spanned.reduce((a, p) => Math.min(a, p[k]), Infinity), high = spanned.reduce((a, p) => Math.max(a, p[k]), -Infinity);
@@ -191,6 +192,7 @@ function drawMap() {
   const from = { trajectory: "Places are those of trajectory_tum.txt.", reference: "Places are those of the reference.", "accepted pairs": "Places follow from accepted pairs, in the frame of the first of them." }[map.basis];
   byId("map-note").textContent = `${map.way.length ? from : "No scan could be placed."} ${whole(drawn)} links drawn` +
     `${map.num_unplaced ? `, ${whole(map.num_unplaced)} not, for want of a place for one of their scans` : ""}.` +
+    `${map.optimized.length ? " Thin: the way after the loops, trajectory_optimized_tum.txt." : ""}` +
     `${map.reference.length ? " Dotted: the reference, moved rigidly onto the way." : ""}`;
   describe("map", `The way from above with ${map.links.accepted.length} accepted and ${map.links.rejected.length} rejected links.`);
 }

@@ -21,7 +21,8 @@ from svc_ros.core.config import Config
 from svc_ros.core.errors import InputError, TransformUnavailableError
 from svc_ros.core.result import RegistrationResult
 from svc_ros.core.scan import Array, Scan
-from svc_ros.io.g2o import write_g2o
+from svc_ros.io.g2o import PoseGraph, write_g2o
+from svc_ros.io.trajectories import Trajectory
 from svc_ros.pipeline.agreement import pair_of
 from svc_ros.pipeline.decide import refused
 from svc_ros.pipeline.loop_closure import LoopCloser, LoopQuestion, judge_scans
@@ -80,7 +81,8 @@ class LoopEngine:
         self._graph_file, self._num_graphs = graph_file, 0
         self._closer: LoopCloser | None = None
         self._odometry_of: OdometryOf = sources.odometry
-        self._found = threading.Lock()  # for the two that follow, which several threads write
+        self._found = threading.Lock()  # for the three that follow, which several threads write
+        self._num_changes = 0
         self._loops: dict[tuple[int, int], StreamDecision] = {}  # accepted by the last word on each pair
         self._last: StreamDecision | None = None
 
@@ -130,19 +132,27 @@ class LoopEngine:
 
         Graphs of later resets get a number of their own. Safe from any thread. Raises InputError.
         """
-        with self._found:
-            closer, loops = self._closer, list(self._loops.values())
-        if self._graph_file is None or closer is None:
+        found = self.graph()
+        if self._graph_file is None or found is None:
             return None
-        keyframes = closer.keyframe_poses
-        if len(keyframes) == 0:
+        path = _numbered(self._graph_file, self._num_graphs)
+        write_g2o(path, found[2])
+        return path
+
+    def graph(self) -> tuple[int, Trajectory, PoseGraph] | None:
+        """How often the loops have changed, odometry of the keyframes, and both as a graph; safe from any thread.
+
+        None where there are no keyframes with odometry.
+        """
+        with self._found:
+            num_changes, closer, loops = self._num_changes, self._closer, list(self._loops.values())
+        keyframes = None if closer is None else closer.keyframe_poses
+        if closer is None or keyframes is None or len(keyframes) == 0:
             return None
         known = set(keyframes.stamps_ns.tolist())
         loops.sort(key=lambda loop: loop.source_stamp_ns)  # several threads found them
         between = [d for d in loops if {d.source_stamp_ns, d.target_stamp_ns} <= known]
-        path = _numbered(self._graph_file, self._num_graphs)
-        write_g2o(path, build_pose_graph(keyframes, between, closer.config.covariance))
-        return path
+        return num_changes, keyframes, build_pose_graph(keyframes, between, closer.config.covariance)
 
     def _closer_for(self, job: ScanJob, config: Config) -> LoopCloser:
         """The one that the scan belongs to: a new one where the configuration is new or time begins anew."""
@@ -211,7 +221,7 @@ class LoopEngine:
             told += [dataclasses.replace(decision, result=first.result, loop=None), *map(_revision, later)]
             with self._found:
                 for loop in (first, *later):
-                    self._loops.pop(pair_of(loop), None)
+                    self._num_changes += self._loops.pop(pair_of(loop), None) is not None or loop.result.accepted
                     if loop.result.accepted:
                         self._loops[pair_of(loop)] = _edge_only(loop)
         keyframes = closer.keyframe_poses.stamps_ns

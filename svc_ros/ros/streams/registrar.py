@@ -14,11 +14,13 @@ import numpy as np
 
 from svc_ros.core.config import Config
 from svc_ros.core.errors import InputError, TransformUnavailableError
-from svc_ros.core.registration import extract_features, verify
+from svc_ros.core.registration import extract_features, prepare, verify
 from svc_ros.core.result import RegistrationResult
 from svc_ros.core.scan import Array, Features, Scan
 from svc_ros.io.results import result_to_json
 from svc_ros.pipeline.decide import refused, register_pair
+from svc_ros.pipeline.place import look_at_place
+from svc_ros.pipeline.place_search import most_alike
 from svc_ros.ros.streams.decision import CloudReader, Decision, Look, drop_decision, labels, named_side, received_s
 from svc_ros.ros.streams.worker import Cloud, DropJob, Job, PairJob, ScanJob
 
@@ -153,6 +155,8 @@ def warm_up(config: Config) -> None:
     scan = made_up_scan(config)
     register_pair(scan, scan, config)
     register_pair(made_up_scan(config, seed=1), scan, config)
+    look = look_at_place(prepare(scan, config))
+    most_alike(look, [look], 1)
 
 
 def made_up_scan(config: Config, seed: int = 0) -> Scan:

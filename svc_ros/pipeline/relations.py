@@ -1,0 +1,86 @@
+"""What the loops of a run say of each other and odometry of each, for one assumption on how far odometry drifts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from svc_ros.core.config import Config
+from svc_ros.pipeline.consistency import PlacedLoop, distance_between, fit_to_loops, fit_to_odometry
+
+LEAST_GAIN, MOST_GAIN = float(np.log(3.0)), float(np.log(20.0))  # a corridor that repeats has so many places alike
+_EXPECTED, _CONTRADICTS = 6.0, 22.5  # squared error of six degrees of freedom; all but one of 1000 right ones are below
+
+
+
+class Relations:
+    """Of L loops: gain (L, L), by how much two that agree raise each other's log odds, 0 where they do not; contradicts
+    (L, L); is_same (L, L), both are between the same two places; by_odometry, whether odometry contradicts each."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self.gain: NDArray[np.float64] = np.zeros((0, 0))
+        self.contradicts: NDArray[np.bool_] = np.zeros((0, 0), bool)
+        self.is_same: NDArray[np.bool_] = np.zeros((0, 0), bool)
+        self.by_odometry: list[bool] = []
+
+    def add(self, loop: PlacedLoop, others: Sequence[PlacedLoop]) -> None:
+        """Take the next loop; others: those that are here."""
+        self.by_odometry.append(bool(fit_to_odometry(loop, self._config).sq_error[0] > _CONTRADICTS))
+        gain, contradicts, is_same = np.zeros(0), np.zeros(0, bool), np.zeros(0, bool)
+        if others:
+            fit = fit_to_loops(loop, others, self._config)
+            spread = 2.0 * self._config.loop_closure.max_distance_m
+            gain = np.minimum(np.log(spread / (np.sqrt(2.0 * np.pi) * fit.sigma_m)), MOST_GAIN)
+            gain -= 0.5 * np.maximum(fit.sq_error - _EXPECTED, 0.0)
+            gain = np.where(gain >= LEAST_GAIN, gain, 0.0)
+            contradicts = fit.sq_error > _CONTRADICTS
+            is_same = distance_between(loop, others) < self._config.agreement.independent_m
+        self.gain = _grown(self.gain, gain)
+        self.contradicts, self.is_same = _grown(self.contradicts, contradicts), _grown(self.is_same, is_same)
+
+    def forget_first(self) -> None:
+        """Give up the oldest loop."""
+        self.by_odometry = self.by_odometry[1:]
+        self.gain, self.contradicts, self.is_same = self.gain[1:, 1:], self.contradicts[1:, 1:], self.is_same[1:, 1:]
+
+    def pieces(self, ordered: Sequence[int], most: int | None = None) -> list[int]:
+        """Of those loops, in their order, the ones that are not between the same places as an earlier one."""
+        found: list[int] = []
+        for loop in ordered:
+            if len(found) != most and not self.is_same[loop, found].any():
+                found.append(loop)
+        return found
+
+    def weights(self, alone: Sequence[float], chances: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(L,), of each loop the weight of a set that it belongs to, in which no two contradict each other and each
+        agrees with another one; loops between the same places weigh once.
+
+        alone: by which sets are begun, the largest first; chances: (L,), what each weighs.
+        """
+        weights = np.zeros(len(alone))
+        for seed in sorted(range(len(alone)), key=lambda i: -alone[i]):
+            if weights[seed] > 0.0:
+                continue
+            members, is_free = [seed], ~self.contradicts[seed]
+            is_free[seed] = False
+            gain = np.where(is_free, self.gain[seed], 0.0)
+            while gain.max() > 0.0:
+                best = int(np.argmax(gain * chances))
+                members.append(best)
+                is_free &= ~self.contradicts[best]
+                is_free[best] = False
+                gain = np.where(is_free, np.maximum(gain, self.gain[best]), 0.0)
+            counted = self.pieces(sorted(members, key=lambda j: -chances[j]))
+            weights[members] = np.maximum(weights[members], chances[counted].sum())
+        return weights
+
+
+def _grown(square: NDArray[Any], row: NDArray[Any]) -> NDArray[Any]:
+    """With one more row and column; nothing on the diagonal."""
+    grown = np.zeros((len(square) + 1, len(square) + 1), square.dtype)
+    grown[:-1, :-1], grown[-1, :-1], grown[:-1, -1] = square, row, row
+    return grown
