@@ -75,11 +75,11 @@ def write_map_reference(path: Path) -> Path:
 
 def job(bag: Path, out: Path, mode: str = "pair", **more: Any) -> ReplayJob:
     """A job of the room's bag without a report, which costs tenths of a second; to localise, in a map beside it."""
-    config = more.pop("config", CONFIG)
     if mode == "localization":
         more = {"map_folder": room_map(bag.parent / "map"), **more}
         if "reference" in more:
             more = {"map_reference": write_map_reference(bag.parent / "map_reference.txt"), **more}
+    config = more.pop("config", CONFIG)
     return ReplayJob(bag, out, config, "lidar_indoor", mode, **{"report": False, **more})
 
 
