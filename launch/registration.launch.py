@@ -19,35 +19,43 @@ ARGUMENTS = {
     "params_file": ("", "YAML file of parameters; what it sets has precedence over all arguments; '' for none"),
     "source": ("", "topic of the clouds that are aligned (pair, candidates of loop_closure); '' for source_points"),
     "target": ("", "topic of the clouds that they are aligned to; '' for target_points"),
-    "points": ("", "topic of the scans (scan_matching, loop_closure); '' for points if it is there, else the only one"),
+    "points": ("", "topic of the scans (all modes but pair); '' for points if it is there, else the only one"),
     "initial_guess": ("initial_guess", "topic of guesses of the source's pose in the target frame"),
-    "odom": ("odom", "topic of odometry (loop_closure with odometry:=topic)"),
-    "odometry": ("own", "where loop_closure has its odometry from: own, topic or tf"),
+    "initialpose": ("initialpose", "topic of poses in the map that others tell (localization)"),
+    "odom": ("odom", "topic of odometry (odometry:=topic)"),
+    "odometry": ("own", "where loop_closure and localization have odometry from: own, topic or tf"),
     "odom_frame": ("odom", "frame of the odometry"),
-    "base_frame": ("", "frame whose pose scan_matching tells; '' for the cloud's, with publish_tf a fixed base_link"),
+    "base_frame": ("", "frame whose pose is told; '' the cloud's, in scan_matching with publish_tf a fixed base_link"),
     "sensor_frame": ("", "frame of the sensor, where clouds are in another one; '' for the cloud's frame"),
-    "publish_tf": ("false", "true or false: accepted transforms on /tf too (pair, scan_matching)"),
+    "publish_tf": ("false", "true or false: accepted transforms on /tf, in localization map_frame to odom_frame"),
     "invert_odom_tf": ("false", "true or false: scan_matching's /tf has odom_frame as the child, not as the parent"),
-    "map_frame": ("", "pair: accepted pairs tell where odom_frame stands in this frame, on /tf; '' for not"),
+    "map_frame": ("", "pair: where odom_frame stands in this, on /tf, '' for not; localization: the map, '' for map"),
     "graph_file": ("", "loop_closure writes its pose graph here; '' for nowhere"),
+    "map_folder": ("", "localization: the folder of the map, as svc_ros map makes it"),
+    "told_by": ("topic", "localization judges poses of others: topic (initialpose), tf or none"),
+    "publish_initialpose": ("false", "true or false: localization tells others on initialpose when they are lost"),
     "process_every": ("false", "true or false: compute every pair or scan, however many wait: for bags"),
     "reliable": ("false", "true or false: ask for reliable clouds, which needs publishers that are reliable"),
     "namespace": ("", "namespace of the node"),
     "use_sim_time": ("false", "true or false: take the time from /clock"),
     "rviz": ("false", "true or false: show target, aligned source, verdict and sight lines in RViz (needs rviz2)"),
-    "fixed_frame": ("", "RViz's fixed frame: in mode pair that of the target clouds; '' for odom_frame"),
+    "fixed_frame": ("", "RViz's fixed frame: in mode pair that of the target clouds; '' for odom_frame, or the map's"),
 }
 CHOICES = {
     "mode": MODES,
     "preset": ["lidar_outdoor", "lidar_indoor", "rgbd_indoor", "auto"],
     "method": ["svc", "svc_paper", "sc2"],
     "odometry": ["own", "topic", "tf"],
+    "told_by": ["topic", "tf", "none"],
 }
-TEXTS = ("mode", "preset", "method", "odometry", "odom_frame", "base_frame", "sensor_frame", "map_frame", "graph_file")
-PARAMETER_SWITCHES = ("publish_tf", "invert_odom_tf", "process_every", "use_sim_time")
+TEXTS = (
+    "mode", "preset", "method", "odometry", "odom_frame", "base_frame", "sensor_frame", "map_frame", "graph_file",
+    "map_folder", "told_by",
+)  # fmt: skip
+PARAMETER_SWITCHES = ("publish_tf", "invert_odom_tf", "publish_initialpose", "process_every", "use_sim_time")
 SWITCHES = (*PARAMETER_SWITCHES, "reliable", "rviz")  # true or false
 INPUTS = {"source_points": "source", "target_points": "target", "points": "points"}
-OTHER_INPUTS = ("initial_guess", "odom")
+OTHER_INPUTS = ("initial_guess", "initialpose", "odom")
 SHOWN = ("aligned", "blocked_points", "sight_lines", "pose", "odometry", "path")
 RVIZ_CONFIG = Path(__file__).parent.parent / "config" / "svc_ros.rviz"
 
@@ -86,11 +94,12 @@ def parameters(given):
 def rviz(given):
     """RViz with the package's configuration; its absolute names are turned into those of this node."""
     own = [(f"/{NODE_NAME}/{name}", f"{NODE_NAME}/{name}") for name in SHOWN]
+    usual = (given["map_frame"] or "map") if given["mode"] == "localization" else given["odom_frame"]
     return Node(
         package="rviz2",
         executable="rviz2",
         namespace=given["namespace"],
-        arguments=["-d", str(RVIZ_CONFIG), "-f", given["fixed_frame"] or given["odom_frame"]],
+        arguments=["-d", str(RVIZ_CONFIG), "-f", given["fixed_frame"] or usual],
         parameters=[{"use_sim_time": given["use_sim_time"] == "true"}],
         additional_env=profile_environment(),  # who listens to the same clouds
         remappings=[*own, ("/target_points", given["target"]), ("/points", given["points"])],

@@ -36,7 +36,11 @@ OutOption = Annotated[
 ]
 ModeOption = Annotated[
     str,
-    typer.Option("--mode", metavar="MODE", help="pair: scan k + stride against scan k; scan_matching; loop_closure."),
+    typer.Option(
+        "--mode",
+        metavar="MODE",
+        help="pair: scan k + stride against scan k; scan_matching; loop_closure; localization.",
+    ),
 ]
 StartOption = Annotated[float, typer.Option("--start", min=0.0, metavar="S", help="Seconds from the bag's begin.")]
 DurationOption = Annotated[float | None, typer.Option("--duration", metavar="S", help="Seconds from there; else all.")]
@@ -59,10 +63,19 @@ InputOption = Annotated[bool, typer.Option("--with-input", help="Copy clouds and
 ReportOption = Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")]
 OdometryOption = Annotated[
     str | None,
-    typer.Option("--odometry-frame", metavar="FRAME", help="loop_closure: odometry by /tf, else by scan matching."),
+    typer.Option(
+        "--odometry-frame", metavar="FRAME", help="loop_closure, localization: odometry by /tf, else by scan matching."
+    ),
 ]
 ReferenceOption = Annotated[
     Path | None, typer.Option("--reference", metavar="TUM", help="Reference trajectory; errors are added and shown.")
+]
+MapOption = Annotated[
+    Path | None, typer.Option("--map", metavar="DIR", help="localization: the map, whose configuration counts.")
+]
+MapReferenceOption = Annotated[
+    Path | None,
+    typer.Option("--map-reference", metavar="TUM", help="Reference of the map's scans, where --reference has none."),
 ]
 
 
@@ -83,6 +96,8 @@ def replay(
     odometry_frame: OdometryOption = None,
     reference: ReferenceOption = None,
     reference_frame: ReferenceFrameOption = None,
+    map_folder: MapOption = None,
+    map_reference: MapReferenceOption = None,
     with_input: InputOption = False,
     report: ReportOption = True,
     scheduler: SchedulerOption = None,
@@ -97,10 +112,13 @@ def replay(
     from svc_ros.replay.job import ReplayJob
 
     paths = expand_bags(bags)
+    if map_folder is not None and preset is not None:
+        raise InputError(f"--preset {preset}: expected none beside --map, the map has its own configuration")
     wanted = read_wanted(preset, method, config_file)
     job = ReplayJob(
-        paths[0], out, wanted.first_fit(), wanted.preset, mode, topic, start, duration, stride, max_rate, sensor_frame,
-        odometry_frame, reference, reference_frame, with_input, resume, report, wanted.given,
+        paths[0], out, wanted.first_fit(), wanted.preset if map_folder is None else "map", mode, topic, start, duration,
+        stride, max_rate, sensor_frame, odometry_frame, reference, reference_frame, with_input, resume, report,
+        wanted.given, map_folder=map_folder, map_reference=map_reference,
     )  # fmt: skip
     if len(paths) == 1 and scheduler is None:
         interrupted = _replay_one(job)

@@ -14,7 +14,7 @@ from svc_ros.core.config_fields import FieldInfo, Group, unknown_name, value, wa
 from svc_ros.core.decision_config import CovarianceConfig, DecisionConfig
 from svc_ros.core.errors import ConfigError
 from svc_ros.core.matches.descriptor_names import split_names
-from svc_ros.core.stream_config import AgreementConfig, LoopClosureConfig, ScanMatchingConfig
+from svc_ros.core.stream_config import AgreementConfig, LocalizationConfig, LoopClosureConfig, ScanMatchingConfig
 
 __all__ = [
     "AUTO", "METHODS", "PRESETS", "Config", "FieldInfo", "preset", "unknown_name", "values_of", "walk", "with_values",
@@ -162,6 +162,7 @@ class Config(Group):
     scan_matching: ScanMatchingConfig = field(default_factory=ScanMatchingConfig)
     loop_closure: LoopClosureConfig = field(default_factory=LoopClosureConfig)
     agreement: AgreementConfig = field(default_factory=AgreementConfig)
+    localization: LocalizationConfig = field(default_factory=LocalizationConfig)
 
     @property
     def feature_radius_m(self) -> float:
@@ -215,6 +216,7 @@ PRESETS: dict[str, Config] = {
             "scan_matching.keyframe_distance_m": 3.0,
             "loop_closure.keyframe_distance_m": 1.0,
             "loop_closure.max_distance_m": 12.0,
+            "localization.agreeing_distance_m": 1.0,
         },
     ),
     "rgbd_indoor": with_values(
@@ -244,6 +246,7 @@ PRESETS: dict[str, Config] = {
             "loop_closure.keyframe_distance_m": 0.3,
             "loop_closure.max_distance_m": 3.0,
             "agreement.independent_m": 0.6,
+            "localization.agreeing_distance_m": 0.3,
         },
     ),
 }

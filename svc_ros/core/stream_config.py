@@ -1,4 +1,4 @@
-"""Values of what works on a stream of scans: scan matching and loop closure."""
+"""Values of what works on a stream of scans: scan matching, loop closure and localisation."""
 
 from __future__ import annotations
 
@@ -46,3 +46,16 @@ class AgreementConfig(Group):
     drift_deg_per_metre: float = value(1.0, "its error in direction for each metre", "deg/m", 1e-4, 90.0)
     independent_m: float = value(3.0, "loops between places nearer than this are one piece of evidence", "m", 0.0, 1e4)
     odometry_failure: float = value(0.01, "how often odometry is wrong by far more than that", "", 1e-9, 0.5)
+
+
+@dataclass(frozen=True)
+class LocalizationConfig(Group):
+    """Finding the sensor in a map of keyframes, and judging where others say that it is."""
+
+    max_similar: int = value(4, "most keyframes by the look of the place that a lost scan is registered to", "", 0, 100)
+    max_neighbours: int = value(3, "most keyframes around a pose that judge it, each from its own origin", "", 1, 100)
+    min_probability: float = value(0.75, "an accepted pose that is less probable confirms nothing", "", 0.0, 1.0)
+    sure_probability: float = value(0.95, "a found pose as probable as this needs no further scan", "", 0.0, 1.0)
+    agreeing_scans: int = value(3, "of a less probable one so many scans have to agree along odometry", "", 2, 100)
+    agreeing_distance_m: float = value(2.0, "these scans are at least so far apart", "m", 0.0, 1000.0)
+    lost_after_s: float = value(10.0, "a place that no scan has confirmed for so long is lost", "s", 0.0, 1e6)

@@ -26,28 +26,32 @@ _MIN_POSES = 3  # fewer can be laid on any others
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Poses of `frame` over time (None: of the clouds' own frame), and the bag's transforms between the two frames."""
+    """Poses of `frame` over time (None: of the clouds' own frame), and the bag's transforms between the two frames.
+
+    targets: the same of the targets, where those are not of this bag but of a map.
+    """
 
     trajectory: Trajectory
     transforms: TransformTree
     frame: str | None
+    targets: Trajectory | None = None
 
     @classmethod
-    def read(cls, path: Path, bag: Bag, frame: str | None) -> Reference:
-        """Read a TUM file; raises InputError for a frame that the bag's transforms do not know."""
+    def read(cls, path: Path, bag: Bag, frame: str | None, targets: Path | None = None) -> Reference:
+        """Read a TUM file, or two of them; raises InputError for a frame that the bag's transforms do not know."""
         transforms = bag.transforms()
         frame = None if frame is None else normalise_frame(frame)
         if frame is not None and frame not in transforms.frames:
             known = ", ".join(transforms.frames) or "none"
             raise InputError(f"--reference-frame {frame}: not among the frames of the bag ({known})")
-        return cls(read_tum(path), transforms, frame)
+        return cls(read_tum(path), transforms, frame, None if targets is None else read_tum(targets))
 
     def errors(self, decision: StreamDecision) -> tuple[float, float] | None:
         """Rotation [deg] and translation [m] error of the best candidate; None without one or without a reference."""
         if decision.result.best_candidate is None:
             return None
         T_world_source = self.pose(decision.source_stamp_ns, decision.source_frame)
-        T_world_target = self.pose(decision.target_stamp_ns, decision.target_frame)
+        T_world_target = self._pose(self.targets or self.trajectory, decision.target_stamp_ns, decision.target_frame)
         if T_world_source is None or T_world_target is None:
             return None
         return pose_error(decision.result.best_candidate, invert(T_world_target) @ T_world_source)
@@ -62,8 +66,11 @@ class Reference:
 
     def pose(self, stamp_ns: int, cloud_frame: str) -> Array | None:
         """Where a cloud stood (4, 4); None outside the reference's time, or without a transform between the frames."""
+        return self._pose(self.trajectory, stamp_ns, cloud_frame)
+
+    def _pose(self, trajectory: Trajectory, stamp_ns: int, cloud_frame: str) -> Array | None:
         try:
-            T_world_reference = self.trajectory.at(stamp_ns, _STAMP_TOLERANCE_NS)
+            T_world_reference = trajectory.at(stamp_ns, _STAMP_TOLERANCE_NS)
             if self.frame is None or self.frame == normalise_frame(cloud_frame):
                 return T_world_reference
             return T_world_reference @ self.transforms.lookup(self.frame, cloud_frame, stamp_ns)

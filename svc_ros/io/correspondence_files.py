@@ -68,6 +68,4 @@ def _from_arrays(arrays: Mapping[str, Any], names: list[str], path: Path) -> Cor
         distance = -np.asarray(arrays[_SCORE], np.float64)
     else:
         distance = np.zeros(len(source))
-    return Correspondences(
-        source, target, frozen_array(distance, np.float64, f"{path}: {_DISTANCE}", (len(source),))
-    )
+    return Correspondences(source, target, frozen_array(distance, np.float64, f"{path}: {_DISTANCE}", (len(source),)))

@@ -12,6 +12,7 @@ from svc_ros.core.config import Config
 from svc_ros.core.matches.descriptors import forget_trees, shared_descriptions
 from svc_ros.core.registration import extract_features
 from svc_ros.core.scan import Array, Features, PreparedScan
+from svc_ros.core.search.prescore import thinned_scan
 from svc_ros.pipeline.place import PlaceLook, look_at_place
 
 
@@ -44,6 +45,10 @@ class Keyframe:
             if self._look is None:
                 self._look = look_at_place(self.scan)
             return self._look
+
+    def thinned(self, num_points: int) -> PreparedScan:
+        """The scan with about that many points; itself where thinning it would leave fewer."""
+        return self.scan if len(self.scan) < 2 * num_points else thinned_scan(self.scan, num_points)
 
     def forget_searches(self) -> None:
         """Give back the memory of search structures, some times that of the scan; they are built again when needed."""

@@ -113,6 +113,7 @@ class LoopCloser:
 
         An empty list where there is nothing to judge, and one decision where the scan cannot be used.
         """
+
         def ask(scan: Scan) -> LoopQuestion | list[StreamDecision]:
             return self._ask(scan, None if T_odom_scan is None else se3.check_pose(T_odom_scan, "T_odom_scan"))
 
@@ -214,9 +215,7 @@ def judge_candidate(
     return demand(register_pair(source.features, target.features, config), wanted)
 
 
-def judge_scans(
-    source: Scan, target: Scan, T_target_source: ArrayLike | None, config: Config
-) -> RegistrationResult:
+def judge_scans(source: Scan, target: Scan, T_target_source: ArrayLike | None, config: Config) -> RegistrationResult:
     """Judge a candidate that somebody else proposes; a scan or a guess that cannot be used is a rejection."""
     try:
         pair = [Keyframe(prepare(scan, config), None, config) for scan in (source, target)]

@@ -17,9 +17,7 @@ from svc_ros.pipeline.stream import StreamDecision
 _DRIFT = 0.02  # odometry's error grows by so much for each metre, and for each radian
 
 
-def build_pose_graph(
-    keyframes: Trajectory, decisions: Iterable[StreamDecision], floor: CovarianceConfig
-) -> PoseGraph:
+def build_pose_graph(keyframes: Trajectory, decisions: Iterable[StreamDecision], floor: CovarianceConfig) -> PoseGraph:
     """One vertex a keyframe, one edge from each to the next by odometry, one edge for each accepted loop.
 
     keyframes: their poses in the odometry frame; decisions: loops between them, of which those that were not accepted

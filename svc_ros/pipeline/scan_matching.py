@@ -17,7 +17,6 @@ from svc_ros.core.errors import InputError
 from svc_ros.core.registration import prepare, verify
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import PreparedScan, Scan
-from svc_ros.core.search.prescore import thinned_scan
 from svc_ros.pipeline.decide import register_pair
 from svc_ros.pipeline.keyframes import Keyframe, KeyframeStore
 from svc_ros.pipeline.motion import KissMotion, Motion
@@ -110,7 +109,7 @@ class ScanMatcher:
     def _verified(self, motion: Motion, this: Keyframe, target: Keyframe, origin: str) -> _Attempt:
         T_target_source = se3.invert(_pose(target)) @ motion.T_odom_scan
         num = self._config.scan_matching.verify_points
-        scans = _thinned(this.scan, num), _thinned(target.scan, num)
+        scans = this.thinned(num), target.thinned(num)
         result = verify(*scans, T_target_source, self._config)
         return _Attempt(self._trusted(result, target), target, origin, scans)
 
@@ -183,11 +182,6 @@ def _closeness_to_acceptance(attempt: _Attempt) -> tuple[bool, float]:
 def _pose(keyframe: Keyframe) -> se3.Array:
     assert keyframe.T_odom_scan is not None
     return keyframe.T_odom_scan
-
-
-def _thinned(scan: PreparedScan, num_points: int) -> PreparedScan:
-    """The scan itself where thinning it would leave fewer than the wanted points."""
-    return scan if len(scan) < 2 * num_points else thinned_scan(scan, num_points)
 
 
 def _decision(this: Keyframe, attempt: _Attempt) -> StreamDecision:

@@ -22,10 +22,11 @@ class StreamDecision:
     """The decision on one scan of a stream (source) against an earlier one (target).
 
     T_odom_source: (4, 4), where the source stands in the odometry frame: in scan matching present only if accepted, in
-    loop closure as odometry said, whatever the verdict;
-    origin: where the judged pose came from (start, motion, turn, registration, odometry, place, agreement, given),
-    empty where nothing was judged; agreement is a later word on an earlier pair, without scans and evidence. A scan
-    that was compared with nothing is its own target.
+    loop closure as odometry said, whatever the verdict; in localisation that frame is the map's, as for T_odom_target,
+    and a place is present only if accepted;
+    origin: where the judged pose came from (start, motion, turn, registration, odometry, place, run, agreement, told,
+    given), empty where nothing was judged; agreement is a later word on an earlier pair, without scans and evidence. A
+    scan that was compared with nothing is its own target.
     scans: (source, target) as they were judged, which the evidence's indices point into; T_odom_target: (4, 4), where
     the target stands in the odometry frame. Both None where nothing was judged, the latter also without odometry.
     """

@@ -53,7 +53,7 @@ class RunFolder:
         """The files that fill while the replay runs; the time that they are open is the time that it took."""
         begun = time.monotonic()
         try:
-            with DecisionFiles(self._job.out, self._job.odometry_frame or "odom", self._earlier) as files:
+            with DecisionFiles(self._job.out, self._job.fixed_frame, self._earlier) as files:
                 self._scenes = files.scenes
                 yield files
         finally:

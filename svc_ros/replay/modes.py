@@ -1,4 +1,4 @@
-"""The three modes of a replay: which steps they take, and how the way is put together from them."""
+"""The four modes of a replay: which steps they take, and how the way is put together from them."""
 
 from __future__ import annotations
 
@@ -11,13 +11,16 @@ from svc_ros.core.matches.descriptors import load_descriptors
 from svc_ros.evaluation.bag_reference import Reference, check_evo
 from svc_ros.io.bags import Bag
 from svc_ros.io.transforms import TransformTree, normalise_frame
+from svc_ros.pipeline.localisation import Localiser
 from svc_ros.pipeline.loop_closure import LoopCloser
+from svc_ros.pipeline.map import Map
 from svc_ros.replay.ahead import ahead
 from svc_ros.replay.clouds import BagPart, ReplayedPair, ReplayStep, read_clouds
-from svc_ros.replay.job import ReplayJob
+from svc_ros.replay.job import WITH_ODOMETRY, ReplayJob
 from svc_ros.replay.known import KnownLoops
 from svc_ros.replay.stream import (
     Odometry,
+    localisation_steps,
     loop_steps,
     matching_steps,
     odometry_by_matching,
@@ -25,13 +28,13 @@ from svc_ros.replay.stream import (
     track_clouds,
 )
 from svc_ros.replay.stream_pairs import pair_steps, see_scans
-from svc_ros.replay.track import LoopTrack, PairTrack, StreamTrack, Track
+from svc_ros.replay.track import LoopTrack, MapTrack, PairTrack, StreamTrack, Track
 
 
 @dataclass(frozen=True, eq=False)
 class Replay:
     """What is replayed of an open bag. reference: None where none was given; num_expected: clouds, estimated where only
-    a part of the bag is wanted; closer, odometry: in loop closure."""
+    a part of the bag is wanted; closer: in loop closure; localiser: in localisation; odometry: in both of them."""
 
     topic: str
     part: BagPart
@@ -40,6 +43,7 @@ class Replay:
     num_expected: int
     closer: LoopCloser | None = None
     odometry: Odometry | None = None
+    localiser: Localiser | None = None
 
 
 def open_replay(job: ReplayJob, bag: Bag, topic: str, known: Sequence[ReplayedPair]) -> Replay:
@@ -56,24 +60,33 @@ def open_replay(job: ReplayJob, bag: Bag, topic: str, known: Sequence[ReplayedPa
     share = (last - first + 1) / (end - begin + 1)
     num_expected = max(1, round(share * bag.num_scans(topic) / every))
     closer = LoopCloser(job.config, KnownLoops(known)) if job.mode == "loop_closure" else None
-    odometry = None if closer is None else _odometry(job, bag)
-    return Replay(topic, part, _track(job, closer), _reference(job, bag), num_expected, closer, odometry)
+    localiser = None if job.map_folder is None else Localiser(Map.read(job.map_folder), job.config)
+    odometry = _odometry(job, bag) if job.mode in WITH_ODOMETRY else None
+    track = _track(job, closer, localiser)
+    return Replay(topic, part, track, _reference(job, bag), num_expected, closer, odometry, localiser)
 
 
 def steps_of(job: ReplayJob, replay: Replay, bag: Bag, known: Sequence[ReplayedPair]) -> Generator[ReplayStep]:
     """What each cloud leads to, in order. known: the first decisions, which an earlier run made.
 
-    Pairs and loops are taken as they are; scan matching, which goes on from what it has seen, makes them again.
+    Pairs and loops are taken as they are; scan matching and localisation, which go on from what they have seen, make
+    them again.
     """
     clouds = ahead(read_clouds(bag, replay.part))
     if job.mode == "pair":
         return pair_steps(ahead(see_scans(clouds, job.config, len(known))), job.config, job.stride, known)
-    if replay.closer is None or replay.odometry is None:
+    if replay.odometry is None:
         return matching_steps(clouds, job.config)
-    return loop_steps(ahead(track_clouds(clouds, replay.odometry)), replay.closer)
+    tracked = ahead(track_clouds(clouds, replay.odometry))
+    if replay.localiser is not None:
+        return localisation_steps(tracked, replay.localiser)
+    assert replay.closer is not None
+    return loop_steps(tracked, replay.closer)
 
 
-def _track(job: ReplayJob, closer: LoopCloser | None) -> Track:
+def _track(job: ReplayJob, closer: LoopCloser | None, localiser: Localiser | None) -> Track:
+    if localiser is not None:
+        return MapTrack(localiser.keyframes.poses)
     if closer is not None:
         return LoopTrack(closer)
     return PairTrack() if job.mode == "pair" else StreamTrack()
@@ -83,7 +96,7 @@ def _reference(job: ReplayJob, bag: Bag) -> Reference | None:
     if job.reference is None:
         return None
     check_evo()
-    return Reference.read(job.reference, bag, job.reference_frame)
+    return Reference.read(job.reference, bag, job.reference_frame, job.map_reference)
 
 
 def _odometry(job: ReplayJob, bag: Bag) -> Odometry:

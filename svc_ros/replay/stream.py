@@ -10,6 +10,7 @@ from svc_ros.core.errors import TransformUnavailableError
 from svc_ros.core.scan import Array, Scan
 from svc_ros.io.bags import Bag
 from svc_ros.io.transforms import TransformTree
+from svc_ros.pipeline.localisation import Localiser
 from svc_ros.pipeline.loop_closure import LoopCloser
 from svc_ros.pipeline.scan_matching import ScanMatcher
 from svc_ros.pipeline.stream import StampOrder, StreamDecision, refuse_scan
@@ -73,6 +74,20 @@ def loop_steps(clouds: Iterable[TrackedCloud], closer: LoopCloser) -> Generator[
         found = _closed(tracked, closer)
         times = {"read": cloud.read_ms, "odometry": tracked.odometry_ms, "decide": watch.ms()}
         yield ReplayStep(cloud, indices.of(found, cloud), tracked.T_odom_scan, times)
+
+
+def localisation_steps(clouds: Iterable[TrackedCloud], localiser: Localiser) -> Generator[ReplayStep]:
+    """Find every cloud in a map: one decision each, whose target index is that of a keyframe of the map."""
+    number = {int(stamp): k for k, stamp in reversed(list(enumerate(localiser.keyframes.stamps_ns)))}
+    for tracked in clouds:
+        watch, cloud = Stopwatch(), tracked.cloud
+        found = localiser.add(cloud.scan, tracked.T_odom_scan) if cloud.scan is not None else []
+        decisions = [
+            ReplayedPair.of(d, cloud.index, number[d.target_stamp_ns] if d.origin else cloud.index)
+            for d in found or [_refused(cloud, localiser.config)]
+        ]
+        times = {"read": cloud.read_ms, "odometry": tracked.odometry_ms, "decide": watch.ms()}
+        yield ReplayStep(cloud, decisions, decisions[-1].T_odom_source, times)
 
 
 def odometry_by_matching(config: Config) -> Odometry:

@@ -142,6 +142,30 @@ class LoopTrack(StreamTrack):
         return build_pose_graph(keyframes, between, self._closer.config.covariance)
 
 
+class MapTrack(StreamTrack):
+    """Of localisation: accepted scans in the map's frame; in the graph also the keyframes that placed them.
+
+    T_map_keyframe: (N, 4, 4) of all keyframes of the map.
+    """
+
+    def __init__(self, T_map_keyframe: Array) -> None:
+        super().__init__()
+        self._keyframes = T_map_keyframe
+
+    def graph(self) -> PoseGraph:
+        """See Track; an edge from each scan to the keyframe that placed it, the keyframes behind the scans."""
+        trajectory = self.trajectory()
+        number = {int(stamp): k for k, stamp in enumerate(trajectory.stamps_ns)}
+        used = sorted({link.target_index for link in self._links})
+        vertex = {index: len(trajectory) + k for k, index in enumerate(used)}
+        edges = [
+            GraphEdge(number[d.source_stamp_ns], vertex[d.target_index], d.result.T_target_source, d.result.covariance)
+            for d in self._links
+            if d.result.T_target_source is not None and d.result.covariance is not None
+        ]
+        return PoseGraph(np.concatenate([trajectory.poses, self._keyframes[used]]), edges)
+
+
 def _accepted(step: ReplayStep) -> list[ReplayedPair]:
     """The accepted decisions without what is large: a long bag has many. Of two on one pair the last one counts."""
     return [

@@ -73,9 +73,7 @@ def write_view(path: Path, record: Record, scene: Scene, title: str) -> None:
     write_page(Path(path), page)
 
 
-def _frame(
-    kind: str, records: Sequence[Record], told: Mapping[int, Record], scenes: Sequence[Scene]
-) -> dict[str, Any]:
+def _frame(kind: str, records: Sequence[Record], told: Mapping[int, Record], scenes: Sequence[Scene]) -> dict[str, Any]:
     """What both kinds of page hold; told: decisions whose numbers are listed, by line."""
     counts = Counter(verdict_of(record).value for record in records)
     return {

@@ -14,6 +14,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from svc_ros.core.result import Reason, Verdict
 from svc_ros.core.scan import Array
 from svc_ros.pipeline.agreement import ORIGIN
+from svc_ros.pipeline.localisation import LocalisationState
 from svc_ros.ros.middleware import cure
 from svc_ros.ros.streams.decision import Decision
 from svc_ros.ros.topics.loss import LossMonitor
@@ -131,6 +132,8 @@ def statuses(statistics: Statistics, flow: Mapping[str, Any], process_every: boo
         _worker_status(flow, numbers, process_every),
         _decision_status(statistics, numbers, flow["output"]),
     ]
+    if "state" in flow["worker"]:
+        told.append(_localization_status(flow["worker"]))
     for status in told:
         status.name, status.hardware_id = f"{statistics.node}: {status.name}", statistics.node
     return told
@@ -184,6 +187,19 @@ def _decision_status(statistics: Statistics, numbers: Mapping[str, Any], output:
     if run >= _REJECTS_IN_A_ROW:
         return _status("decisions", _WARN, f"{run} pairs in a row were not accepted", values)
     return _status("decisions", _OK, f"{numbers['decisions']['accepted']} accepted", values)
+
+
+def _localization_status(worker: Mapping[str, Any]) -> DiagnosticStatus:
+    values = {name: worker[name] for name in ("state", "map_keyframes", "told", "told_wrong", "told_problem")}
+    state = worker["state"]
+    if worker["told_wrong"]:
+        return _status("localization", _ERROR, f"{state}; the pose that others tell is wrong", values)
+    if state == LocalisationState.LOST.value:
+        return _status("localization", _ERROR, "lost: no scan says any more where the sensor is", values)
+    if problem := worker["told_problem"]:
+        return _status("localization", _WARN, f"{state}; a told pose could not be judged: {problem}", values)
+    level = _OK if state == LocalisationState.LOCALISED.value else _WARN
+    return _status("localization", level, state, values)
 
 
 def _status(name: str, level: bytes, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:

@@ -15,8 +15,8 @@ __all__ = ["MODE", "MODES", "NODE_NAME", "describe", "given_values"]
 
 Arguments = Mapping[str, tuple[str | None, str]]  # default (None: must be given) and description by name
 
-MODE = ("pair", "what the node does: pair, scan_matching or loop_closure")
-MODES = ["pair", "scan_matching", "loop_closure"]
+MODE = ("pair", "what the node does: pair, scan_matching, loop_closure or localization")
+MODES = ["pair", "scan_matching", "loop_closure", "localization"]
 
 
 def describe(

@@ -27,8 +27,8 @@ class RegistrationNode(LifecycleNode):
 
     Options are those of rclpy's Node. With `autostart` (the default) it is active when the constructor returns, and
     what prevents that is raised: ConfigError for refused parameters, InputError for a `graph_file` that cannot be
-    written, MissingDependencyError where a parameter needs a package that is not there. Call `stop` before the node is
-    destroyed, to say how long a job may still take.
+    written and a `map_folder` that is no map, MissingDependencyError where a parameter needs a package that is not
+    there. Call `stop` before the node is destroyed, to say how long a job may still take.
     """
 
     def __init__(self, **options: Any) -> None:

@@ -25,10 +25,11 @@ from svc_ros.io.places import check_place
 from svc_ros.pipeline.decide import refused
 from svc_ros.pipeline.scan_matching import ScanMatcher
 from svc_ros.ros.diagnostics import Statistics, statuses
-from svc_ros.ros.parameters import NodeParameters
+from svc_ros.ros.parameters import OF_MAPS, NodeParameters
 from svc_ros.ros.streams.decision import Decision, Engine, labels
 from svc_ros.ros.streams.first_choice import FirstChoice
 from svc_ros.ros.streams.judges import Judges
+from svc_ros.ros.streams.localization_engine import LocalizationEngine
 from svc_ros.ros.streams.loop_engine import LoopEngine
 from svc_ros.ros.streams.matching_engine import MatchingEngine
 from svc_ros.ros.streams.registrar import PairRegistrar
@@ -49,7 +50,7 @@ _JUMP = JumpThreshold(min_forward=None, min_backward=Duration(seconds=-1), on_cl
 
 class Session:
     """The node at work. Raises MissingDependencyError where a parameter needs a package that is not there, InputError
-    where `graph_file` cannot be written, ConfigError for QoS overrides that are none.
+    where `graph_file` cannot be written or `map_folder` is no map, ConfigError for QoS overrides that are none.
 
     is_active: take new work; without it every input is dropped as `inactive`. Lowers the interpreter's switch interval.
     """
@@ -106,6 +107,8 @@ class Session:
             if part is not None:
                 part.destroy()
         self._node.destroy_publisher(self._diagnostics)
+        if isinstance(self.engine, LocalizationEngine):
+            self.engine.close()
 
     def tell(self) -> None:
         """Publish diagnostics and the way so far; nothing if the session ends meanwhile on another thread."""
@@ -188,6 +191,8 @@ class Session:
 
     def _make_engine(self) -> Engine:
         settings, sources = self._parameters.settings, Sources(self, self._parameters)
+        if settings.mode == "localization":
+            return LocalizationEngine.of_folder(sources, settings, self._parameters.take_map)
         if settings.mode == "scan_matching" or (settings.mode == "loop_closure" and settings.odometry == "own"):
             ScanMatcher(self._parameters.config)  # a package that is missing is said now, not with the first scan
         if settings.mode == "scan_matching":
@@ -222,6 +227,9 @@ class Session:
 
     def _check_change(self, parameters: list[Parameter]) -> SetParametersResult:
         """A frame that is set at work needs TF from now on; what the values mean is checked elsewhere."""
+        fixed = [p.name for p in parameters if p.name.startswith(OF_MAPS)]
+        if fixed and isinstance(self.engine, LocalizationEngine):
+            return SetParametersResult(successful=False, reason=f"{fixed[0]}: the map was made with another value")
         if any(p.name == "sensor_frame" and p.value for p in parameters):
             try:
                 self.frames.listen("sensor_frame")

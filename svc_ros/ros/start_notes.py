@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-INPUT_TOPICS = ("source_points", "target_points", "points", "odom", "initial_guess")  # of all modes
+INPUT_TOPICS = ("source_points", "target_points", "points", "odom", "initial_guess", "initialpose")  # of all modes
 _POLICIES = ("history", "depth", "reliability")  # what may be overridden
 _OVERRIDES = "qos_overrides."
 _OF_RCLPY = tuple(f"{_OVERRIDES}{topic}." for topic in ("/clock", "/parameter_events", "/rosout"))
@@ -41,3 +41,9 @@ def _unmatched(name: str, known: list[str]) -> str:
 def _text(value: object) -> str:
     """The value as a parameter is written."""
     return json.dumps(value)
+
+
+def unknown_parameter(name: str, known: list[str]) -> str:
+    """One line for a name that is none, with the nearest one of those that are."""
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    return f"parameter {name} does not exist" + (f"; did you mean {near[0]}?" if near else "")

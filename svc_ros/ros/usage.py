@@ -16,6 +16,7 @@ modes (-p mode:=MODE), and the topics that they take:
   pair           source_points, target_points: pairs of clouds by stamp; initial_guess, if there is one (the default)
   scan_matching  points: where the sensor is, scan by scan
   loop_closure   points: places that are seen again; odometry is its own, or comes by topic (odom) or TF
+  localization   points: where the sensor is in a map (map_folder); initialpose is judged, if there is one
 
 parameters come behind --ros-args, each with -p, topics of your own with -r:
   registration_node --ros-args -p mode:=scan_matching -p preset:=lidar_indoor -r points:=/lidar/points

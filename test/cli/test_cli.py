@@ -413,6 +413,10 @@ def test_parts_and_strides_of_a_bag(bag, tmp_path):
         (["--odometry-frame", "odom"], ["--odometry-frame odom", "loop_closure"]),
         (["--mode", "loop_closure", "--odometry-frame", "odom"], ["--odometry-frame odom", "none"]),
         (["--reference-frame", "base"], ["--reference-frame base", "--reference"]),
+        (["--mode", "localization"], ["--map"]),
+        (["--map", "map"], ["--map", "localization"]),
+        (["--mode", "localization", "--map", "map"], ["map", "config.yaml"]),
+        (["--mode", "localization", "--map", "map", *PRESET], ["--preset lidar_indoor", "its own configuration"]),
     ],
 )
 def test_replay_refuses_what_makes_no_sense(bag, tmp_path, options, words):

@@ -23,7 +23,7 @@ from svc_ros.core.sight.evidence import SightLines, SightViewEvidence
 DOCS = PROJECT_ROOT / "docs"
 PAGES = (
     "reference", "interfaces", "frames", "decisions", "tuning", "integration", "how_it_decides", "calibrate",
-    "descriptors",
+    "descriptors", "localization",
 )  # fmt: skip
 TEXTS = {name: (DOCS / f"{name}.md").read_text("utf-8") for name in PAGES}
 CONFIG = {info.name: info.default for info in walk(preset("lidar_outdoor"))}
@@ -31,8 +31,8 @@ GROUPS = {name.partition(".")[0] for name in CONFIG if "." in name}
 # Names of ROS, of other packages and of formats, that no code of ours spells out.
 FOREIGN = {
     "NaN", "base_link", "bond", "use_sim_time", "qos_overrides", "header.frame_id", "child_frame_id", "frame_id",
-    "/kiss/odometry", "/initialpose", "/tf", "/source", "VERTEX_SE3:QUAT", "EDGE_SE3:QUAT",
-    "odom_lidar", "odom0_differential: true",
+    "/kiss/odometry", "/initialpose", "/amcl_pose", "/tf", "/source", "VERTEX_SE3:QUAT", "EDGE_SE3:QUAT",
+    "odom_lidar", "odom0_differential: true", "base_footprint", "keyframes",
     "pyproject.toml", "svc_ros_spin_images.py", "functools.lru_cache",
     "NUMBA_CACHE_DIR", "make setup", "timebase", "xfer_format",
     "configure", "activate", "deactivate", "cleanup", "message", "p_target = T_target_source p_source",
@@ -145,7 +145,7 @@ def test_every_reason_has_advice():
 def test_origins_are_those_of_the_streams():
     stream = (PROJECT_ROOT / "svc_ros/pipeline/stream.py").read_text("utf-8")
     (text,) = re.findall(r"origin: where the judged pose came from \(([^)]+)\)", stream)
-    assert [row[0].strip("`") for row in rows("origins")] == text.replace("\n", " ").split(", ")
+    assert [row[0].strip("`") for row in rows("origins")] == " ".join(text.split()).split(", ")
 
 
 def test_keys_of_decisions_status_and_diagnostics_are_those_of_the_node():
@@ -161,6 +161,7 @@ def test_keys_of_decisions_status_and_diagnostics_are_those_of_the_node():
     assert always == set(_values(Decision(result, label, label)))
     statistics = Statistics({"points": True})
     worker = {"ready": True, "enabled": True, "queue": 0, "queue_size": 1}
+    worker |= {"state": "lost", "map_keyframes": 9, "told": 0, "told_wrong": False, "told_problem": ""}
     flow = {"pairing": {}, "worker": worker, "output": {"reader_stopped": False}}
     told = [status.name for status in statuses(statistics, flow, False)]
     assert told == [row[0].strip("`") for row in rows("statuses")]

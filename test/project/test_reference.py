@@ -62,14 +62,15 @@ def test_json_keys_are_those_of_a_result():
 
 
 def test_every_mode_has_its_inputs():
-    assert [row[0].strip("`") for row in rows("modes")] == ["pair", "scan_matching", "loop_closure"]
+    assert [row[0].strip("`") for row in rows("modes")] == ["pair", "scan_matching", "loop_closure", "localization"]
     inputs = {row[0].strip("`") for row in rows("topics") if row[1] == "in"}
     assert inputs <= {name for row in rows("modes") for cell in row[1:3] for name in code(cell)}
 
 
 @pytest.mark.dds
-def test_topics_and_services_are_those_of_the_node(monkeypatch):
+def test_topics_and_services_are_those_of_the_node(monkeypatch, tmp_path):
     rclpy = pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
+    from map_cases import write_room_map
     from rclpy.context import Context
     from rclpy.parameter import Parameter
 
@@ -81,8 +82,11 @@ def test_topics_and_services_are_those_of_the_node(monkeypatch):
     rclpy.init(context=context, domain_id=own_domain_id(7))
     inputs, outputs, services = set(), set(), {}
     try:
-        for mode in ("pair", "scan_matching", "loop_closure"):
-            given = [Parameter("mode", value=mode), Parameter("odometry", value="topic")]
+        write_room_map(tmp_path / "room")
+        for mode in ("pair", "scan_matching", "loop_closure", "localization"):
+            folder = str(tmp_path / "room") if mode == "localization" else ""
+            values = {"mode": mode, "odometry": "topic", "map_folder": folder}
+            given = [Parameter(name, value=value) for name, value in values.items()]
             node = RegistrationNode(
                 context=context, parameter_overrides=given, enable_rosout=False, start_parameter_services=False
             )

@@ -36,6 +36,9 @@ def test_a_job_travels_to_another_process(bag: Path) -> None:
         ({"max_rate_hz": 0.0}, "rate above 0 Hz, found 0"),
         ({"max_rate_hz": float("nan")}, "rate above 0 Hz"),
         ({"odometry_frame": "odom"}, "only --mode loop_closure"),
+        ({"mode": "localization", "map_folder": None}, "expected --map with localization"),
+        ({"map_folder": Path("map")}, "--mode pair: expected --map with localization and with no other"),
+        ({"map_reference": Path("map.txt")}, "expected --map and --reference"),
         ({"reference_frame": "base_link"}, "expected --reference with it"),
     ],
 )
@@ -49,9 +52,13 @@ def test_the_identity_is_what_decisions_depend_on(bag: Path, tmp_path: Path) -> 
     same = dataclasses.replace(first, out=tmp_path / "else", max_rate_hz=3.0, with_input=True, report=True, resume=True)
     assert same.identity() == first.identity()
     assert first.identity()["bag_bytes"] == len("one") + len("three")
+    assert first.identity()["map_sha256"] is None
     reference = tmp_path / "reference.txt"
     reference.write_text("1 0 0 0 0 0 0 1\n")
-    others = [{"mode": mode} for mode in MODES[1:]] + [
+    (tmp_path / "map").mkdir()
+    (tmp_path / "map" / "map.json").write_text("{}")
+    in_map = {"mode": "localization", "map_folder": tmp_path / "map"}
+    others = [in_map if mode == "localization" else {"mode": mode} for mode in MODES[1:]] + [
         {"start_s": 1.0}, {"duration_s": 1.0}, {"stride": 2}, {"sensor_frame": "lidar"}, {"reference": reference},
         {"reference": reference, "reference_frame": "base"}, {"mode": "loop_closure", "odometry_frame": "odom"},
     ]  # fmt: skip

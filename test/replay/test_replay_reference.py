@@ -133,3 +133,15 @@ def test_without_evo_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setitem(sys.modules, "evo.core.metrics", None)
     with pytest.raises(MissingDependencyError, match=r"pip install 'evo"):
         check_evo()
+
+
+def test_targets_of_a_map_have_a_reference_of_their_own(bag_path: Path, tmp_path: Path) -> None:
+    """Their stamps are of another day, and their poses in the same world."""
+    earlier = STAMPS[1] - 86_400 * SECOND
+    write_tum(tmp_path / "map.txt", Trajectory(np.array([earlier]), np.array([WAY[2]])))
+    found = StreamDecision(decision(se3.invert(WAY[2]) @ WAY[3]).result, STAMPS[3], earlier, "lidar", "lidar")
+    with Bag(bag_path) as bag:
+        alone = Reference.read(write_reference(tmp_path / "r.txt"), bag, None)
+        both = Reference.read(tmp_path / "r.txt", bag, None, tmp_path / "map.txt")
+    assert alone.errors(found) is None
+    np.testing.assert_allclose(both.errors(found), (0.0, 0.0), atol=1e-6)

@@ -30,7 +30,7 @@ from svc_ros.replay import run as replay_run
 from svc_ros.replay import stream_pairs as replay
 from svc_ros.replay.run import replay_bag
 
-MODES_AND_STOPS = [("pair", 4), ("scan_matching", 3), ("loop_closure", 6)]
+MODES_AND_STOPS = [("pair", 4), ("scan_matching", 3), ("loop_closure", 6), ("localization", 3)]
 
 
 @pytest.fixture(scope="module")

@@ -20,6 +20,7 @@ from descriptor_packages import write_package
 from places import PROJECT_ROOT
 from replay_cases import (
     CONFIG,
+    KNOWN,
     OUTPUTS,
     OUTPUTS_OF,
     STAMPS,
@@ -47,7 +48,7 @@ from svc_ros.replay import run as replay_run
 from svc_ros.replay.job import MODES, ReplayJob
 from svc_ros.replay.run import replay_bag
 
-NUM_DECISIONS = {"pair": 6, "scan_matching": 7, "loop_closure": 3}
+NUM_DECISIONS = {"pair": 6, "scan_matching": 7, "loop_closure": 3, "localization": 7}
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +128,10 @@ def test_the_trajectory_is_the_way(runs: dict[str, Path], mode: str) -> None:
 
 def test_graphs_hold_what_was_accepted(runs: dict[str, Path]) -> None:
     graphs = {mode: read_g2o(out / "loops.g2o") for mode, out in runs.items()}
-    assert {mode: len(graph.poses) for mode, graph in graphs.items()} == dict.fromkeys(MODES, len(WAY))
+    num_poses = {mode: len(graph.poses) for mode, graph in graphs.items()}
+    assert num_poses == {**dict.fromkeys(MODES, len(WAY)), "localization": len(WAY) + len(KNOWN)}
+    placed = [(e.source, e.target - len(WAY)) for e in graphs["localization"].edges]
+    assert placed == [(row["source_index"], row["target_index"]) for row in read_decisions(runs["localization"])]
     assert [(e.source, e.target) for e in graphs["pair"].edges] == [(k + 1, k) for k in range(6)]
     assert len(graphs["scan_matching"].edges) == 6  # the first scan is linked with nothing
     loops = [(e.source, e.target) for e in graphs["loop_closure"].edges[6:]]
@@ -145,7 +149,7 @@ def test_errors_against_the_reference(runs: dict[str, Path], mode: str) -> None:
     assert reference["num_poses_compared"] == len(WAY)
     assert reference["ape"]["translation_m"]["rmse"] < 0.03
     assert reference["rpe"]["rotation_deg"]["max"] < 1.0
-    compared = [row for row in rows if row["source_index"] != row["target_index"] and row["verdict"] == "accepted"]
+    compared = [row for row in rows if row["origin"] != "start" and row["verdict"] == "accepted"]
     assert reference["num_accepted_compared"] == len(compared)
     assert reference["translation_error_m"]["max"] == max(row["translation_error_m"] for row in compared)
 

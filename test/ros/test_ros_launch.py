@@ -21,7 +21,8 @@ from svc_ros.ros.middleware import PROFILE_VARIABLE
 
 REGISTRATION = PROJECT_ROOT / "launch" / "registration.launch.py"
 REPLAY = PROJECT_ROOT / "launch" / "replay.launch.py"
-FILES = (REGISTRATION, REPLAY)
+LOCALIZATION = PROJECT_ROOT / "launch" / "localization.launch.py"
+FILES = (REGISTRATION, REPLAY, LOCALIZATION)
 RVIZ = PROJECT_ROOT / "config" / "svc_ros.rviz"
 FOXGLOVE = PROJECT_ROOT / "config" / "foxglove_layout.json"
 SHOWN_TYPES = {
@@ -65,8 +66,7 @@ def test_choices_are_those_of_the_node_and_are_described(path, monkeypatch):
     module = load(path, monkeypatch)
     parameters = (PROJECT_ROOT / "svc_ros/ros/parameters.py").read_text("utf-8")
     known = {"preset": (*PRESETS, AUTO), "method": tuple(METHODS)}
-    for name in ("mode", "odometry"):
-        constant = {"mode": "MODES", "odometry": "ODOMETRY"}[name]
+    for name, constant in (("mode", "MODES"), ("odometry", "ODOMETRY"), ("told_by", "TOLD_BY")):
         (text,) = re.findall(rf"^{constant} = \((.*)\)$", parameters, re.MULTILINE)
         known[name] = tuple(re.findall(r'"(\w+)"', text))
     for name, choices in module.CHOICES.items():
@@ -181,6 +181,29 @@ def test_who_sends_or_shows_clouds_has_the_shipped_profile_unless_another_is_set
         monkeypatch.setenv(PROFILE_VARIABLE, "/mine.xml")
 
 
+def test_rviz_shows_a_place_in_the_map_in_the_maps_frame(registration):
+    for given, frame in (({}, "map"), ({"map_frame": "site"}, "site"), ({"fixed_frame": "odom"}, "odom")):
+        _, rviz = started(registration, rviz="true", mode="localization", **given)
+        words = rviz.options["arguments"]
+        assert words[words.index("-f") + 1] == frame
+
+
+def test_localization_is_the_registration_in_a_map_with_its_own_preset(registration, monkeypatch):
+    module = load(LOCALIZATION, monkeypatch)
+    (include,) = started(module, map_folder="site", publish_tf="True")
+    assert Path(include.given[0].given[0]).resolve() == REGISTRATION
+    given = dict(include.options["launch_arguments"])
+    assert given == {
+        "mode": "localization", "preset": "auto", "map_folder": "site", "odometry": "tf", "publish_tf": "true",
+        "base_frame": "base_link",
+    }  # fmt: skip
+    (node,) = started(registration, **given, initialpose="/amcl_pose")
+    (values,) = node.options["parameters"]
+    assert given.items() - {("publish_tf", "true")} <= values.items()
+    assert (values["publish_tf"], values["told_by"], values["publish_initialpose"]) == (True, "topic", False)
+    assert ("initialpose", "/amcl_pose") in node.options["remappings"]
+
+
 def test_replay_includes_the_file_beside_it(replay):
     include, _ = started(replay, bag="drive")
     (source,) = include.given
@@ -198,7 +221,7 @@ def test_files_describe_a_launch_where_launch_is_installed(path):
     context = LaunchContext()
     context.launch_configurations.update({name: d or "drive" for name, (d, _) in module.ARGUMENTS.items()})
     actions = [action for action in module.start(context) if type(action).__name__ != "LogInfo"]
-    assert len(actions) == (1 if path == REGISTRATION else 2)
+    assert len(actions) == (2 if path == REPLAY else 1)
 
 
 def displays() -> list[dict]:

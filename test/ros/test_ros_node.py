@@ -316,6 +316,7 @@ def test_node_ends_with_exit_code_0_within_two_seconds(tmp_path, signum, moment)
         ("sensor_origin:=[0.0, 1.0]", "sensor_origin: expected 3 numbers"),
         ("method:=5", "method: expected a str"),
         ("mode:=loop_closure -p graph_file:=/gone/a.g2o", "graph_file /gone/a.g2o: expected a folder /gone"),
+        ("mode:=localization -p map_folder:=/gone", "/gone: expected the folder of a map, found none"),
         ("qos_overrides./source_points.subscription.reliability:=reliabel", "qos_overrides./source_points: "),
     ],
 )

@@ -25,6 +25,8 @@ from svc_ros.ros.streams.worker import Cloud, DropJob, PairJob  # noqa: E402
 
 pytestmark = pytest.mark.dds
 
+LOCALIZATION = {"mode": "localization", "map_folder": "hall"}
+
 
 @pytest.fixture
 def make_node(monkeypatch):
@@ -85,6 +87,14 @@ def test_given_value_wins_over_the_preset(make_node):
         ({"odometry": "topics"}, "odometry: unknown name 'topics'; did you mean 'topic'"),
         ({"edges": "gtsam"}, "edges: unknown name 'gtsam'"),
         ({"mode": "loop_closure", "publish_tf": True}, "publish_tf: mode loop_closure"),
+        ({"mode": "localization"}, "map_folder: mode localization needs the folder of a map"),
+        ({"map_folder": "hall"}, "map_folder belongs to mode localization, found mode pair"),
+        ({"publish_initialpose": True}, "publish_initialpose belongs to mode localization, found mode pair"),
+        ({**LOCALIZATION, "told_by": "tfs"}, "told_by: unknown name 'tfs'"),
+        ({**LOCALIZATION, "publish_tf": True}, "publish_tf: .* set odometry to topic or tf"),
+        ({**LOCALIZATION, "publish_tf": True, "odometry": "tf", "told_by": "tf"}, "publish_tf and told_by:=tf exclude"),
+        ({**LOCALIZATION, "publish_initialpose": True}, "publish_initialpose and told_by:=topic exclude"),
+        ({**LOCALIZATION, "odom_frame": "map"}, "map_frame and odom_frame have to differ, found 'map' for both"),
         ({"graph_file": "loops.g2o"}, "graph_file and edges belong to mode loop_closure, found mode pair"),
         ({"mode": "pairs"}, "did you mean 'pair'"),
         ({"method": "scv"}, "did you mean 'svc'"),
@@ -222,3 +232,30 @@ def test_the_node_chooses_by_its_first_pair_and_says_so_once(tmp_path, monkeypat
     assert [decision["verdict"] for decision in decisions] == ["accepted", "accepted"]
     assert (status["preset"], status["chosen"]["preset"]) == ("auto", "lidar_indoor")
     assert told.count("preset auto: lidar_indoor, 98 % of the points") == 1
+
+
+def test_a_map_takes_the_place_of_the_preset_but_for_what_was_set(make_node):
+    made_with = with_values(preset("lidar_indoor"), {"preprocess.voxel_size_m": 0.2, "localization.max_similar": 7})
+    parameters = NodeParameters(make_node({"localization.max_neighbours": 2}))
+    parameters.take_map(made_with)
+    assert parameters.config == with_values(made_with, {"localization.max_neighbours": 2})
+    assert parameters.preset_name == "map"
+    other = with_values(made_with, {"preprocess.voxel_size_m": 0.4})
+    parameters.take_map(other)  # made anew before the node is configured again
+    assert parameters.config == with_values(other, {"localization.max_neighbours": 2})
+    NodeParameters(make_node({"preset": "lidar_indoor"})).take_map(preset("lidar_indoor"))
+    NodeParameters(make_node({"preset": "auto"})).take_map(made_with)
+    NodeParameters(make_node({"preprocess.voxel_size_m": 0.2})).take_map(made_with)
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"preset": "lidar_outdoor"}, "preprocess.min_range_m: expected 0.5, .* found 1.0 by preset lidar_outdoor$"),
+        ({"features.max_neighbours": 99}, "features.max_neighbours: expected 400, .* found 99$"),
+    ],
+)
+def test_a_value_that_the_map_was_not_made_with_is_refused_by_name(make_node, given, text):
+    parameters = NodeParameters(make_node(given))
+    with pytest.raises(ConfigError, match=text):
+        parameters.take_map(preset("lidar_indoor"))

@@ -51,9 +51,7 @@ def pool_hypotheses(correspondences: Correspondences, config: HypothesisConfig) 
     return HypothesisSet(T[order], num_inliers[order], score[order])
 
 
-def generate_from_each(
-    generate: Generator, sets: Sequence[Correspondences], config: HypothesisConfig
-) -> HypothesisSet:
+def generate_from_each(generate: Generator, sets: Sequence[Correspondences], config: HypothesisConfig) -> HypothesisSet:
     """Those of every set of correspondences by itself, ranked over all of them together: few right ones of one
     descriptor would be lost among many wrong ones of another."""
     found = [generate(each, config) for each in sets]

@@ -92,9 +92,7 @@ def _look_at_all(pair: Pair, matches: list[Correspondences]) -> RoughPoses:
     return _look_at_shortlist(pair, pair.hypotheses(matches, pool_hypotheses), matches, more)
 
 
-def _look_at_shortlist(
-    pair: Pair, hypotheses: HypothesisSet, matches: list[Correspondences], more: int
-) -> RoughPoses:
+def _look_at_shortlist(pair: Pair, hypotheses: HypothesisSet, matches: list[Correspondences], more: int) -> RoughPoses:
     """The shortlist, and `more` hypotheses by how far the scans agree, all looked at roughly."""
     if len(hypotheses) == 0:
         return _NONE

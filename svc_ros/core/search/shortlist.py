@@ -21,9 +21,7 @@ def select_distinct(T: Array, config: ShortlistConfig, limit: int) -> IndexArray
     return select_apart(np.ones(len(T), bool), lambda i: find_near(T, T[i], config), limit)
 
 
-def select_apart(
-    wanted: NDArray[np.bool_], near: Callable[[int], NDArray[np.bool_]], limit: int
-) -> IndexArray:
+def select_apart(wanted: NDArray[np.bool_], near: Callable[[int], NDArray[np.bool_]], limit: int) -> IndexArray:
     """Indices of at most `limit` of the wanted (H,), in order, none near one that is chosen before it.
 
     near: index -> mask (H,) of those that stand for the same.

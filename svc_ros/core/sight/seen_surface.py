@@ -45,9 +45,7 @@ def look_through(observer: PreparedScan, placement: Placement, config: SightView
     return SeenSurface(len(other), num_confirmed, denied, weighed, num_hidden, num_unseen)
 
 
-def _weigh_clusters(
-    observer: PreparedScan, placement: Placement, denied: IndexArray, config: SightViewConfig
-) -> float:
+def _weigh_clusters(observer: PreparedScan, placement: Placement, denied: IndexArray, config: SightViewConfig) -> float:
     """How many points are denied, those of a cluster counting by the angle over which the observer sees it.
 
     What moved between the scans is seen as small clusters, and so are edges and mixed pixels; a wall that is in the

@@ -47,11 +47,26 @@ class OdometryEstimate:
 
 
 @dataclass(frozen=True, eq=False)
+class MapPlace:
+    """What is known of the robot in a map after a scan.
+
+    T_map_base: (4, 4), where its base stands, or the cloud's frame where there is no base; None unless this scan says
+    so for sure; covariance: (6, 6) as in OdometryEstimate, in the map's frame, which itself is taken for exact;
+    T_map_odom: (4, 4), where odometry begins, None unless localised.
+    """
+
+    T_map_base: Array | None = None
+    covariance: Array | None = None
+    T_map_odom: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class Decision:
     """The answer to one job, or one of its answers.
 
     origin: where the judged pose of a stream came from, empty for pairs; vertices: numbers of source and target in the
-    pose graph, where both are in it; loop: the same decision as the pipeline has it, of loops.
+    pose graph, where both are in it; place: with the decision on a scan's own place in a map; loop: the same decision
+    as the pipeline has it, of loops.
     """
 
     result: RegistrationResult
@@ -62,6 +77,7 @@ class Decision:
     odometry: OdometryEstimate | None = None
     origin: str = ""
     vertices: tuple[int, int] | None = None
+    place: MapPlace | None = None
     loop: StreamDecision | None = None
 
 

@@ -23,7 +23,7 @@ from svc_ros.io.clouds.point_cloud2 import cloud_layout
 from svc_ros.io.config_yaml import NODE_NAME
 from svc_ros.io.results import UNKNOWN_COVARIANCE
 from svc_ros.io.stamps import seconds_and_rest
-from svc_ros.ros.streams.decision import OdometryEstimate
+from svc_ros.ros.streams.decision import MapPlace, OdometryEstimate
 
 # Of a velocity that is not known, (m/s)^2 and (rad/s)^2: whoever weighs by covariances takes nothing from it. Not
 # negative or infinite, which spoils filters that do not look.
@@ -55,6 +55,19 @@ def pose_message(result: RegistrationResult, stamp_ns: int, target_frame: str) -
     message.pose.pose = plain_pose(result.T_target_source)
     covariance = UNKNOWN_COVARIANCE if result.covariance is None else result.covariance
     message.pose.covariance = np.asarray(covariance, np.float64).reshape(-1)
+    return message
+
+
+def place_message(place: MapPlace, stamp_ns: int, map_frame: str) -> PoseWithCovarianceStamped:
+    """Where the robot stands in the map, with the covariance of its position and its turns about the fixed axes.
+
+    InputError where the place is not known.
+    """
+    if place.T_map_base is None or place.covariance is None:
+        raise InputError("expected a place that is known, found none")
+    message = PoseWithCovarianceStamped(header=header(stamp_ns, map_frame))
+    message.pose.pose = plain_pose(place.T_map_base)
+    message.pose.covariance = _about_the_pose(place.covariance, place.T_map_base).reshape(-1)
     return message
 
 

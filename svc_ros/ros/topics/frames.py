@@ -20,13 +20,13 @@ from svc_ros.core.errors import MissingDependencyError, TransformUnavailableErro
 from svc_ros.core.scan import Array
 from svc_ros.core.se3 import make_pose
 from svc_ros.io.bags.writers import distinct_frames
-from svc_ros.io.stamps import text_from_ns
+from svc_ros.io.stamps import ns_from_stamp, text_from_ns
 from svc_ros.ros.parameters import NodeSettings
 from svc_ros.ros.streams.decision import named_side
 from svc_ros.ros.streams.worker import CloudLabel
 
 _NEEDS_TF2 = "{} needs tf2_ros (apt install ros-jazzy-tf2-ros-py){}"
-_LONG_AGO_NS = 1  # no dynamic transform is kept so long; 0 would ask for the newest
+_NEWEST_NS, _LONG_AGO_NS = 0, 1  # tf2 takes 0 for the newest; no dynamic transform is kept so long as 1
 _NEEDS_TF2_MSGS = "{} needs tf2_msgs (apt install ros-jazzy-tf2-msgs)"
 
 
@@ -78,16 +78,12 @@ class Frames:
         """
         if target_frame == source_frame:
             return np.eye(4)
-        self.listen(f"a transform from {source_frame!r} to {target_frame!r}")
-        try:
-            found = self._buffer.lookup_transform(
-                target_frame, source_frame, Time(nanoseconds=stamp_ns), Duration(seconds=timeout_s)
-            )
-        except Exception as error:  # tf2's own family cannot be named where tf2 is absent
-            frames = f"from {source_frame!r} to {target_frame!r} at {text_from_ns(stamp_ns)} s"
-            raise TransformUnavailableError(f"expected a transform {frames}: {error}") from error
-        t, q = found.transform.translation, found.transform.rotation
-        return make_pose(Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), (t.x, t.y, t.z))
+        return _pose_of(self._look_up(target_frame, source_frame, stamp_ns, timeout_s))
+
+    def newest_pose(self, target_frame: str, source_frame: str) -> tuple[Array, int]:
+        """The newest T_target_source (4, 4) that TF has, without waiting, and its stamp; raises like `pose`."""
+        found = self._look_up(target_frame, source_frame, _NEWEST_NS, 0.0)
+        return _pose_of(found), ns_from_stamp(found.header.stamp)
 
     def fixed_pose(self, target_frame: str, source_frame: str, timeout_s: float) -> Array:
         """T_target_source (4, 4) by static transforms alone, which hold at any time; raises like `pose`."""
@@ -119,6 +115,16 @@ class Frames:
         except TransformUnavailableError:
             return True
         return not np.allclose(now, long_ago)
+
+    def _look_up(self, target_frame: str, source_frame: str, stamp_ns: int, timeout_s: float) -> Any:
+        self.listen(f"a transform from {source_frame!r} to {target_frame!r}")
+        try:
+            return self._buffer.lookup_transform(
+                target_frame, source_frame, Time(nanoseconds=stamp_ns), Duration(seconds=timeout_s)
+            )
+        except Exception as error:  # tf2's own family cannot be named where tf2 is absent
+            frames = f"from {source_frame!r} to {target_frame!r} at {text_from_ns(stamp_ns)} s"
+            raise TransformUnavailableError(f"expected a transform {frames}: {error}") from error
 
     def _start_listening(self, wanted_by: str) -> None:
         try:
@@ -156,12 +162,20 @@ class TransformOutput:
         self._node.destroy_publisher(self._publisher)
 
 
+def _pose_of(found: Any) -> Array:
+    """(4, 4) of a transform's message."""
+    t, q = found.transform.translation, found.transform.rotation
+    return make_pose(Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), (t.x, t.y, t.z))
+
+
 def _needs_tf(settings: NodeSettings) -> str:
     """The first parameter that cannot do without TF; empty if none."""
     if settings.sensor_frame:
         return "sensor_frame"
-    if settings.map_frame:
+    if settings.map_frame and settings.mode == "pair":
         return "map_frame"
-    if settings.base_frame and settings.mode == "scan_matching":
+    if settings.base_frame and settings.mode in ("scan_matching", "localization"):
         return "base_frame"
-    return "odometry:=tf" if settings.mode == "loop_closure" and settings.odometry == "tf" else ""
+    if settings.told_by == "tf" and settings.mode == "localization":
+        return "told_by:=tf"
+    return "odometry:=tf" if settings.mode in ("loop_closure", "localization") and settings.odometry == "tf" else ""

@@ -20,6 +20,7 @@ FORGOTTEN = {  # by mode: what is lost when time begins anew
     "pair": "clouds that waited and guesses are forgotten",
     "scan_matching": "clouds that waited and keyframes are forgotten, odometry begins anew",
     "loop_closure": "clouds that waited, odometry and keyframes are forgotten, a new graph begins",
+    "localization": "clouds that waited and where the sensor is are forgotten, it is looked for anew",
 }
 
 

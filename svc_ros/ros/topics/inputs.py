@@ -22,7 +22,7 @@ from rclpy.subscription import Subscription
 
 from svc_ros.core.errors import ConfigError, InputError
 from svc_ros.io.clouds.point_cloud2 import CloudMessage
-from svc_ros.io.stamps import ns_from_stamp
+from svc_ros.io.stamps import ns_from_stamp, text_from_ns
 from svc_ros.pipeline.pairing import Event, Matched, Side, StampPairer
 from svc_ros.ros.diagnostics import InputMonitor, Statistics
 from svc_ros.ros.parameters import NodeParameters
@@ -31,8 +31,10 @@ from svc_ros.ros.topics.cloud_topic import CloudSource, CloudTopic
 from svc_ros.ros.topics.conversions import pose_from_message
 from svc_ros.ros.topics.input_watch import InputWatch
 from svc_ros.ros.topics.poses import PoseBuffer
+from svc_ros.ros.topics.told_poses import StampedPose, ToldPoses
 
 _KEPT_GUESSES, _KEPT_ODOMETRY = 16, 1000
+_MOST_APART_NS = 10_000_000_000  # a pose that is told by another clock is of no use
 _RELIABLE = QoSProfile(depth=10)
 _ODOMETRY_DEPTH = QoSProfile(depth=100)
 # Clouds that the middleware keeps while the executor has no time for them; with `process_every` none may be lost.
@@ -42,14 +44,15 @@ CLOUD_INPUTS: dict[str, dict[str, bool]] = {  # of each mode: name, and whether 
     "pair": {"source": True, "target": True},
     "scan_matching": {"points": True},
     "loop_closure": {"points": True, "source": False, "target": False},
+    "localization": {"points": True},
 }
 
 
 class Inputs:
     """Subscribes to what the mode needs, and gives each pair, scan or cloud without a partner to `take`.
 
-    `guesses` and `odometry` may be read from any thread. lock: held while clouds are paired and counted, so that an
-    executor with several threads may call everything here; who holds it sees counts that fit each other.
+    `guesses`, `odometry` and `told` may be read from any thread. lock: held while clouds are paired and counted, so
+    that an executor with several threads may call everything here; who holds it sees counts that fit each other.
     """
 
     def __init__(
@@ -58,7 +61,7 @@ class Inputs:
         self._node, self._parameters, self._statistics, self._take = node, parameters, statistics, take
         self.pairer: StampPairer[Cloud] = StampPairer(parameters.settings.max_skew_ns)
         self.lock = threading.RLock()
-        self.guesses, self.odometry = PoseBuffer(_KEPT_GUESSES), PoseBuffer(_KEPT_ODOMETRY)
+        self.guesses, self.odometry, self.told = PoseBuffer(_KEPT_GUESSES), PoseBuffer(_KEPT_ODOMETRY), ToldPoses()
         self.odometry_child_frame = ""
         self._last_cloud_s = time.monotonic()
         self._last_stamp_ns = 0
@@ -73,7 +76,9 @@ class Inputs:
                 self._subscribe_clouds(name)
             if "source" in names:
                 self._keep_subscribed(PoseWithCovarianceStamped, "initial_guess", self._on_guess, _RELIABLE)
-            if settings.mode == "loop_closure" and settings.odometry == "topic":
+            if settings.mode == "localization" and settings.told_by == "topic":
+                self._keep_subscribed(PoseWithCovarianceStamped, "initialpose", self._on_told, _RELIABLE)
+            if settings.mode in ("loop_closure", "localization") and settings.odometry == "topic":
                 self._keep_subscribed(Odometry, "odom", self._on_odometry, _ODOMETRY_DEPTH)
             undo.pop_all()
 
@@ -90,6 +95,7 @@ class Inputs:
             self._take_events(self.pairer.clear())
         self.guesses.clear()
         self.odometry.clear()
+        self.told.clear()
 
     def look(self) -> None:
         """Tell what is wrong around the inputs, and take clouds as what is sent; to be called once a second."""
@@ -184,6 +190,18 @@ class Inputs:
     def _on_odometry(self, message: Odometry) -> None:
         self.odometry_child_frame = message.child_frame_id
         self._keep(self.odometry, message)
+
+    def _on_told(self, message: PoseWithCovarianceStamped) -> None:
+        stamp_ns, frame = ns_from_stamp(message.header.stamp), str(message.header.frame_id)
+        try:
+            pose = pose_from_message(message)
+            if stamp_ns and self._last_stamp_ns and abs(stamp_ns - self._last_stamp_ns) > _MOST_APART_NS:
+                found = f"{text_from_ns(stamp_ns)} s, and {text_from_ns(self._last_stamp_ns)} s of the last cloud"
+                raise InputError(f"initialpose: expected a stamp near those of the clouds, found {found}")
+        except InputError as error:
+            self._node.get_logger().warning(str(error), throttle_duration_sec=5.0)
+        else:
+            self.told.add(StampedPose(stamp_ns, frame, pose))
 
     def _keep(self, poses: PoseBuffer, message: PoseWithCovarianceStamped | Odometry) -> None:
         try:

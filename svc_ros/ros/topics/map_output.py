@@ -1,4 +1,4 @@
-"""Where odometry stands in a map, for navigation: from accepted pairs whose target is a scan of a known place."""
+"""Where odometry stands in a map, for navigation: from accepted pairs with known places, or localization."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from svc_ros.core.scan import Array
 from svc_ros.core.se3 import invert
 from svc_ros.ros.parameters import NodeSettings
 from svc_ros.ros.streams.decision import Decision
+from svc_ros.ros.streams.localization_engine import TOLD
 from svc_ros.ros.topics.conversions import transform_message
 from svc_ros.ros.topics.frames import Frames, TransformOutput
 
@@ -23,26 +24,29 @@ _BACK_NS = 1_000_000_000  # a clock that goes back by more has begun anew
 
 
 class MapOutput:
-    """Sends `map_frame` to `odom_frame` on /tf again and again, once a pair was accepted; before that, nothing.
+    """Sends `map_frame` to `odom_frame` on /tf again and again, once a pair or a place was accepted; before, nothing.
 
     Between acceptances the last one holds: odometry carries it on. Nothing else changes it, but that it is forgotten
-    when asked to, or when the node's clock goes back. Raises MissingDependencyError without tf2_msgs.
+    when asked to, when localization is lost, or when the node's clock goes back. Raises MissingDependencyError without
+    tf2_msgs.
 
     frames: where the source stands in `odom_frame`, and the target in `map_frame`; is_active: send at this moment.
     """
 
     def __init__(self, node: Node, settings: NodeSettings, frames: Frames, is_active: Callable[[], bool]) -> None:
         self._node, self._settings, self._frames, self._is_active = node, settings, frames, is_active
-        self._tf = TransformOutput(node, "map_frame")
+        self._tf = TransformOutput(node, "publish_tf" if settings.mode == "localization" else "map_frame")
         self._found: tuple[Array, int] | None = None  # T_map_odom, and when it was found by the node's clock
         self._problem, self._num_updates, self._last_stamp_ns = "", 0, -1
         self._over = threading.Event()
         self._thread: threading.Thread | None = None
 
     def update(self, decision: Decision, settings: NodeSettings) -> None:
-        """Take over what an accepted pair says; the worker calls this with every decision. May wait for TF."""
+        """Take over what an accepted one says; the worker calls this with every decision. May wait for TF."""
         self._settings = settings
-        if not decision.result.accepted:
+        if decision.place is not None and decision.place.T_map_odom is None:
+            self.forget()
+        if not decision.result.accepted or decision.origin == TOLD:
             return
         try:
             T_map_odom = self._locate(decision, settings)
@@ -53,9 +57,8 @@ class MapOutput:
         self._found = T_map_odom, self._node.get_clock().now().nanoseconds
         self._problem, self._num_updates = "", self._num_updates + 1
         if self._thread is None:
-            self._node.get_logger().info(
-                f"map_frame: {settings.map_frame} to {settings.odom_frame} is on /tf from now on"
-            )
+            frames = f"{settings.frame_of_map} to {settings.odom_frame}"
+            self._node.get_logger().info(f"map_frame: {frames} is on /tf from now on")
             self._thread = threading.Thread(target=self._run, name="map frame", daemon=True)
             self._thread.start()
 
@@ -80,6 +83,8 @@ class MapOutput:
 
     def _locate(self, decision: Decision, settings: NodeSettings) -> Array:
         """T_map_odom (4, 4); TransformUnavailableError says what is missing."""
+        if decision.place is not None and decision.place.T_map_odom is not None:
+            return decision.place.T_map_odom
         result, source, target = decision.result, decision.source, decision.target
         assert result.T_target_source is not None
         assert source is not None
@@ -115,4 +120,4 @@ class MapOutput:
         stamp_ns = now_ns + round(1e9 * settings.transform_tolerance)
         if stamp_ns != self._last_stamp_ns:  # tf2 complains of a stamp that it has: simulated time stands still
             self._last_stamp_ns = stamp_ns
-            self._tf.publish(transform_message(T_map_odom, stamp_ns, settings.map_frame, settings.odom_frame), "")
+            self._tf.publish(transform_message(T_map_odom, stamp_ns, settings.frame_of_map, settings.odom_frame), "")

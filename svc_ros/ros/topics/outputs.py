@@ -16,10 +16,18 @@ from std_msgs.msg import Bool
 from svc_ros.io.results import decision_values
 from svc_ros.ros.parameters import NodeSettings
 from svc_ros.ros.streams.decision import Decision
+from svc_ros.ros.streams.localization_engine import TOLD
 from svc_ros.ros.streams.worker import CloudLabel
 from svc_ros.ros.topics.back_ends import EdgeOutput, edge_output
-from svc_ros.ros.topics.conversions import decision_message, pose_message, status_name, transform_message
+from svc_ros.ros.topics.conversions import (
+    decision_message,
+    place_message,
+    pose_message,
+    status_name,
+    transform_message,
+)
 from svc_ros.ros.topics.frames import Frames, TransformOutput
+from svc_ros.ros.topics.initial_pose import InitialPoseOutput
 from svc_ros.ros.topics.looks import LookOutputs
 from svc_ros.ros.topics.map_output import MapOutput
 from svc_ros.ros.topics.odometry_outputs import OdometryOutputs
@@ -42,8 +50,10 @@ class Outputs:
 
     def __init__(self, node: Node, settings: NodeSettings, frames: Frames, is_active: Callable[[], bool]) -> None:
         self._node, self._name = node, status_name(node)
-        self._tf = TransformOutput(node, "publish_tf") if settings.publish_tf else None
-        self._map = MapOutput(node, settings, frames, is_active) if settings.map_frame else None
+        sends_scans = settings.publish_tf and not settings.sends_map_frame
+        self._tf = TransformOutput(node, "publish_tf") if sends_scans else None
+        self._map = MapOutput(node, settings, frames, is_active) if settings.sends_map_frame else None
+        self._initial_pose = InitialPoseOutput(node) if settings.publish_initialpose else None
         self._edges: EdgeOutput | None = edge_output(node, settings.edges)
         self._decision = node.create_publisher(DiagnosticArray, "~/decision", _LAST_DECISION)
         self._rejected = node.create_publisher(Bool, "~/rejected", _RELIABLE)
@@ -57,10 +67,12 @@ class Outputs:
     def publish(self, decision: Decision, settings: NodeSettings) -> None:
         """Send everything of one decision; the decision itself goes last, as the sign that the rest is out."""
         source, target = decision.source, decision.target
-        if decision.result.accepted and source is not None and target is not None:
+        if decision.result.accepted and decision.origin != TOLD and source is not None and target is not None:
             self._publish_pose(decision, source, target, settings)
         if self._map is not None:
             self._map.update(decision, settings)
+        if self._initial_pose is not None:
+            self._initial_pose.publish(decision, settings)
         if self._odometry is not None:
             self._odometry.publish(decision, settings)
         if self._edges is not None:
@@ -75,8 +87,9 @@ class Outputs:
 
     def forget(self) -> None:
         """Tell nothing any more that follows from earlier decisions."""
-        if self._map is not None:
-            self._map.forget()
+        for part in (self._map, self._initial_pose):
+            if part is not None:
+                part.forget()
 
     def numbers(self) -> dict[str, Any]:
         """How `~/decision` gets along with its readers, and the map's frame with TF; safe from any thread."""
@@ -98,7 +111,7 @@ class Outputs:
         """Give all publishers back; `finish` comes first."""
         for publisher in (self._decision, self._rejected, self._transform, self._pose):
             self._node.destroy_publisher(publisher)
-        for part in (self._looks, self._odometry, self._edges, self._map, self._tf):
+        for part in (self._looks, self._odometry, self._edges, self._map, self._initial_pose, self._tf):
             if part is not None:
                 part.destroy()
 
@@ -107,7 +120,10 @@ class Outputs:
         assert T is not None
         message = transform_message(T, source.stamp_ns, target.frame_id, source.frame_id)
         self._transform.publish(message)
-        self._pose.publish(pose_message(decision.result, source.stamp_ns, target.frame_id))
+        if decision.place is None:
+            self._pose.publish(pose_message(decision.result, source.stamp_ns, target.frame_id))
+        else:
+            self._pose.publish(place_message(decision.place, source.stamp_ns, settings.frame_of_map))
         if self._tf is not None and settings.mode == "pair":
             self._tf.publish(message, settings.tf_child_frame)
 

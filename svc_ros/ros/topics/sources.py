@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Protocol
 
 import numpy as np
 
+from svc_ros.core.errors import TransformUnavailableError
 from svc_ros.core.scan import Array, Scan
 from svc_ros.ros.parameters import NodeParameters
+from svc_ros.ros.streams.localization_engine import TOLD_FOR_NS, ToldPose
 from svc_ros.ros.topics.frames import Frames
 from svc_ros.ros.topics.inputs import Inputs
 
@@ -25,6 +28,7 @@ class Sources:
     def __init__(self, session: Parts, parameters: NodeParameters) -> None:
         self._session, self._parameters = session, parameters
         self.odometry_frame = self._parameters.settings.odom_frame
+        self.frame_of_map = self._parameters.settings.frame_of_map
 
     def origin(self, frame: str, stamp_ns: int) -> Array:
         """Where the sensor stood in a cloud's frame."""
@@ -49,3 +53,26 @@ class Sources:
         T_odom_child = inputs.odometry.at(scan.stamp_ns, settings.max_skew_ns, settings.tf_timeout)
         child = inputs.odometry_child_frame or scan.frame_id
         return T_odom_child @ frames.pose(child, scan.frame_id, scan.stamp_ns, settings.tf_timeout)
+
+    def told(self, scan: Scan) -> ToldPose | None:
+        """Where others say that the cloud's frame stands in the map; TransformUnavailableError where TF is missing."""
+        settings, frames = self._parameters.settings, self._session.frames
+        if settings.told_by == "tf":
+            return self._told_on_tf(scan)
+        told = self._session.inputs.told.take(scan.stamp_ns)
+        if told is None:
+            return None
+        T_map_frame = frames.fixed_pose(self.frame_of_map, told.frame_id or self.frame_of_map, settings.tf_timeout)
+        return ToldPose(T_map_frame @ told.T_frame_base @ self.base(scan.frame_id, scan.stamp_ns), told.stamp_ns)
+
+    def _told_on_tf(self, scan: Scan) -> ToldPose:
+        """At the scan's stamp, or, of who needs longer than it is waited for, at the newest one that there is."""
+        frames, ends = self._session.frames, (self.frame_of_map, scan.frame_id)
+        try:
+            return ToldPose(frames.pose(*ends, scan.stamp_ns, self._parameters.settings.tf_timeout), scan.stamp_ns)
+        except TransformUnavailableError:
+            with contextlib.suppress(TransformUnavailableError):
+                T, stamp_ns = frames.newest_pose(*ends)
+                if 0 <= scan.stamp_ns - stamp_ns < TOLD_FOR_NS:
+                    return ToldPose(T, stamp_ns)
+            raise
