@@ -16,7 +16,14 @@ from svc_ros.core.registration import prepare
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Array, Scan
 from svc_ros.pipeline.keyframes import Keyframe
-from svc_ros.pipeline.neighbours import KeyframeMap, Placed, is_same_place, judge_among_neighbours, nowhere
+from svc_ros.pipeline.neighbours import (
+    KeyframeMap,
+    Placed,
+    is_same_place,
+    judge_among_neighbours,
+    nowhere,
+    shows_enough,
+)
 from svc_ros.pipeline.own_steps import OwnSteps
 from svc_ros.pipeline.relocalisation import DRIFT, WaitingPlaces, find_in_map
 from svc_ros.pipeline.stream import StampOrder, StreamDecision, decide_in_order, demand, leave_undecided
@@ -196,6 +203,9 @@ class Localiser:
             if not is_same_place(T_map_told, predicted, self._config, drift_m):
                 return _refuted(told, T_map_told, predicted)
             wanted = self._config.localization.min_probability
+        if told.result.verdict is Verdict.REJECTED and not shows_enough(told, self._config):
+            why = "what hardly overlaps the map is not wrong for that"
+            return dataclasses.replace(told, result=leave_undecided(told.result, Reason.INSUFFICIENT_EVIDENCE, why))
         return dataclasses.replace(told, result=demand(told.result, wanted))
 
     def _decision(self, this: Keyframe, placed: Placed, origin: str) -> StreamDecision:

@@ -97,10 +97,10 @@ def judge_among_neighbours(
     num_telling = 0
     for index in _spread_out(T_map_scan, keyframes, config):
         look = _look(this, T_map_scan, keyframes, index, config, num_points)
-        if look.is_denied and not _shows_enough(look, config):
+        if look.is_denied and not shows_enough(look, config):
             continue  # of what hardly overlaps, the little that is seen may be at its edges
         looks.append(look)
-        num_telling += _shows_enough(look, config)
+        num_telling += shows_enough(look, config)
         if look.result.accepted:
             T_map_scan = look.T_map_scan
         if look.is_denied or num_telling == config.localization.max_neighbours:
@@ -133,7 +133,8 @@ def is_same_place(T_map_scan: Array, other: Array, config: Config, drift_m: floa
     return angle <= limits.max_moved_rotation_deg and distance <= limits.max_moved_translation_m + drift_m
 
 
-def _shows_enough(look: Placed, config: Config) -> bool:
+def shows_enough(look: Placed, config: Config) -> bool:
+    """Whether so much of the scan was seen that a verdict against its pose tells something."""
     evidence = look.result.evidence
     return evidence is not None and evidence.oriented_overlap_ratio >= config.decision.min_oriented_overlap
 

@@ -64,7 +64,7 @@ def demand(result: RegistrationResult, min_probability: float) -> RegistrationRe
 
 
 def leave_undecided(result: RegistrationResult, reason: Reason, why: str) -> RegistrationResult:
-    """An accepted result whose pose is not to be used after all; its numbers stay."""
+    """A result whose pose is not to be used, or not to be called wrong, after all; its numbers stay."""
     return dataclasses.replace(
         result, verdict=Verdict.UNDECIDED, reason=reason, T_target_source=None, covariance=None,
         detail=f"{why}: {result.detail}",

@@ -160,9 +160,10 @@ def test_told_poses_that_are_wrong_are_called_so_at_once_and_true_ones_never(roo
             assert_right(own, WAY[1])
 
 
-def test_a_told_pose_that_wrong_sight_lines_deny_is_wrong_also_where_nobody_knows_better(room: MapInMemory) -> None:
+def test_a_told_pose_that_sight_lines_deny_is_wrong_also_where_nobody_knows_better(room: MapInMemory) -> None:
     localiser = Localiser(room, with_values(CONFIG, {"localization.max_similar": 1}))
-    told, own = localiser.add(elsewhere(0), odometry(0), WAY[0])
+    wider = Scan(scan_room(WAY[0]) * (1.5, 1.5, 1.0), 100 * S, "lidar")
+    told, own = localiser.add(wider, odometry(0), WAY[0])
     assert not own.result.accepted
     assert told.result.verdict is Verdict.REJECTED
     assert localiser.is_told_wrong
@@ -174,6 +175,14 @@ def test_a_told_pose_alone_is_no_place_where_places_may_look_alike(room: MapInMe
     for decision in localiser.add(scan(0), odometry(0), WAY[0]):
         assert decision.result.verdict is Verdict.UNDECIDED
         assert decision.T_odom_source is None
+    assert not localiser.is_told_wrong
+
+
+def test_a_told_pose_that_leads_out_of_the_map_is_not_wrong_for_that(room: MapInMemory) -> None:
+    localiser = Localiser(room, with_values(CONFIG, {"localization.max_similar": 0}))
+    told, own = localiser.add(elsewhere(0), odometry(0), se3.make_pose(np.eye(3), (30.0, 10.0, 0.0)) @ WAY[0])
+    assert not own.result.accepted
+    assert (told.result.verdict, told.result.reason) == (Verdict.UNDECIDED, Reason.INSUFFICIENT_EVIDENCE)
     assert not localiser.is_told_wrong
 
 
