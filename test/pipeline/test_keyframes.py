@@ -13,7 +13,7 @@ from svc_ros.core.config import Config, preset, with_values
 from svc_ros.core.matches.descriptors import more_matches
 from svc_ros.core.registration import extract_features, prepare, verify
 from svc_ros.core.scan import Features, PreparedScan, Scan
-from svc_ros.pipeline import keyframes, scan_matching
+from svc_ros.pipeline import keyframes
 from svc_ros.pipeline.keyframes import Keyframe, KeyframeStore
 
 CONFIG = preset("lidar_indoor")
@@ -50,7 +50,7 @@ def test_what_the_sensor_saw_is_kept_by_all_that_is_made_of_a_scan(keyframe: Key
     assert keyframe.scan.range_image is image
     assert keyframe.features.prepared.range_image is image
     for num in (len(keyframe.scan) // 3, 10 * len(keyframe.scan)):
-        assert scan_matching._thinned(keyframe.scan, num).range_image is image
+        assert keyframe.thinned(num).range_image is image
 
 
 def test_the_newest_are_kept(keyframe: Keyframe) -> None:
