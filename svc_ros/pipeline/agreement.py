@@ -136,6 +136,8 @@ def _revised(decision: StreamDecision, loop: HeldLoop, opinion: Opinion) -> Stre
     """The decision on a loop as the others have it."""
     result, why = decision.result, _why(loop, opinion)
     if not loop.is_accepted:
+        if not loop.was_accepted:
+            result = dataclasses.replace(result, detail=f"{result.reason.value}: {result.detail}")
         return dataclasses.replace(decision, result=leave_undecided(result, Reason.UNCONFIRMED, why))
     accepted = dataclasses.replace(
         result, verdict=Verdict.ACCEPTED, reason=Reason.OK, T_target_source=loop.placed.T_target_source,

@@ -245,6 +245,7 @@ def test_an_undecided_one_that_agrees_with_nothing_is_unconfirmed() -> None:
     stray = loop(LENGTH + 1, LENGTH - 2, pose(8.0, -3.0, 90.0), accepted=False, probability=0.6)
     (told,) = told_of([stray])
     assert (told.result.verdict, told.result.reason) == (Verdict.UNDECIDED, Reason.UNCONFIRMED)
+    assert told.result.detail.endswith("agrees with it: insufficient_evidence: of the pair")
 
 
 def test_what_is_rejected_is_never_lifted() -> None:
