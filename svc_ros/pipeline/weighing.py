@@ -79,26 +79,27 @@ class Weighing:
     def opinions(self) -> list[Opinion]:
         """(L,), by those that were accepted on their pair and stand: what falls speaks for none."""
         speaks = self._was_accepted.copy()
-        relations, alone, weights = self._assume(speaks)
+        relations, support, alone, weights = self._assume(speaks)
         while True:
-            found = self._weigh_accepted(relations, speaks, alone, weights)
+            found = self._weigh_accepted(relations, support, alone, weights)
             falls = speaks.copy()
             sure = [i for i, opinion in found.items() if opinion.is_accepted]
             falls[sure] = False
             if not (relations.gain[np.ix_(sure, np.flatnonzero(falls))] > 0.0).any():
                 break
             speaks &= ~falls
+            support = self._supports(relations, speaks)
         for i in np.flatnonzero(~self._was_accepted).tolist():
             found[i] = self._weigh_undecided(i, relations, sure)
         return [found[i] for i in range(len(self._loops))]
 
     def _weigh_accepted(
-        self, relations: Relations, speaks: NDArray[np.bool_], alone: Array, weights: Array
+        self, relations: Relations, supports: dict[int, _Support], alone: Array, weights: Array
     ) -> dict[int, Opinion]:
         """Those accepted on their pair: the largest sets first, each loop against those of them that it contradicts."""
         found: dict[int, Opinion] = {}
-        for i in sorted(np.flatnonzero(self._was_accepted).tolist(), key=lambda i: (-weights[i], -alone[i])):
-            support = self._support(i, relations, speaks)
+        for i in sorted(supports, key=lambda i: (-weights[i], -alone[i])):
+            support = supports[i]
             odds = self._odds(i, relations, support)
             against = [o.log_odds for j, o in found.items() if o.is_accepted and relations.contradicts[i, j]]
             if against:
@@ -133,23 +134,29 @@ class Weighing:
         is_accepted = odds >= self._wanted or keeps_its_verdict
         return Opinion(is_accepted, odds, len(support.pieces), bool(relations.by_odometry[i]), is_outweighed)
 
-    def _assume(self, speaks: NDArray[np.bool_]) -> tuple[Relations, Array, Array]:
-        """With how little drift the loops still agree about as well as with all that is possible: relations, log odds
-        by support alone, and weights."""
+    def _assume(self, speaks: NDArray[np.bool_]) -> tuple[Relations, dict[int, _Support], Array, Array]:
+        """With how little drift the loops still agree about as well as with all that is possible: relations, support,
+        log odds by that alone, and weights."""
         chances = np.where(speaks, probability(self._log_odds), 0.0)
         found = []
         for relations in self._assumptions:
-            alone = np.zeros(len(self._loops))
-            for i in np.flatnonzero(speaks).tolist():
-                alone[i] = self._odds(i, relations, self._support(i, relations, speaks))
-            found.append((relations, alone, relations.weights(alone, chances)))
+            support, alone = self._supports(relations, speaks), np.zeros(len(self._loops))
+            for i, each in support.items():
+                alone[i] = self._odds(i, relations, each)
+            found.append((relations, support, alone, relations.weights(alone, chances)))
         most = found[-1][-1].max()
         enough = _AS_WELL * most if most >= _MANY else np.inf
         return next((each for each in found if each[-1].max() >= enough), found[-1])
 
+    def _supports(self, relations: Relations, speaks: NDArray[np.bool_]) -> dict[int, _Support]:
+        """Of each loop that was accepted on its pair."""
+        return {i: self._support(i, relations, speaks) for i in np.flatnonzero(self._was_accepted).tolist()}
+
     def _support(self, i: int, relations: Relations, speaks: NDArray[np.bool_]) -> _Support:
         """What independent loops say for one; speaks: (L,), those that are asked."""
         partners = np.flatnonzero(speaks & (relations.gain[i] > 0.0) & ~relations.is_same[i])
+        if not len(partners):
+            return _Support(0.0, 0.0, [])
         odds = self._log_odds[partners]
         if not relations.by_odometry[i]:  # else odometry has failed for all of them at once, see `_odds`
             odds = odds + np.log(self._failure) * relations.by_odometry[partners]
@@ -157,9 +164,9 @@ class Weighing:
         worth = np.log(chances * np.exp(relations.gain[i, partners]) + 1.0 - chances)
         order = np.argsort(-worth, kind="stable")
         pieces = relations.pieces(partners[order].tolist(), _MOST_PIECES)
-        is_piece = np.isin(partners, pieces)
-        plain = float(worth[is_piece].sum())
-        shared = plain - float(np.log(1.0 - chances[is_piece] + chances[is_piece] * self._failure).sum())
+        counted = np.searchsorted(partners, np.array(pieces, np.int64))
+        plain = float(worth[counted].sum())
+        shared = plain - float(np.log(1.0 - chances[counted] + chances[counted] * self._failure).sum())
         return _Support(plain, shared, pieces)
 
     def _odds(self, i: int, relations: Relations, support: _Support) -> float:
