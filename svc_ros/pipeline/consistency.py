@@ -40,10 +40,11 @@ class PlacedLoop:
 @dataclass(frozen=True, eq=False)
 class Fit:
     """sq_error: (L,), squared error over its covariance, six degrees of freedom; sigma_m: (L,), standard deviation
-    along the direction in which least is known."""
+    along the direction in which least is known; shift_m: (L,), how far apart the two say that the source is."""
 
     sq_error: Array
     sigma_m: Array
+    shift_m: Array
 
 
 def fit_to_loops(this: PlacedLoop, others: Sequence[PlacedLoop], config: Config) -> Fit:
@@ -95,7 +96,8 @@ def _fit(predicted: Array, T: Array, covariance: Array) -> Fit:
     turn = Rotation.from_matrix(predicted[:, :3, :3] @ T[:3, :3].T).as_rotvec()
     error = np.concatenate([shift, turn], axis=1)
     sq_error = np.einsum("li,li->l", error, np.linalg.solve(covariance, error[..., None])[..., 0])
-    return Fit(sq_error, np.sqrt(np.linalg.eigvalsh(covariance[:, :3, :3])[:, -1]))
+    sigma_m = np.sqrt(np.linalg.eigvalsh(covariance[:, :3, :3])[:, -1])
+    return Fit(sq_error, sigma_m, np.linalg.norm(shift, axis=1))
 
 
 def _own_covariance(loop: PlacedLoop) -> Array:

@@ -18,6 +18,7 @@ from svc_ros.core.errors import MissingDependencyError
 from svc_ros.core.scan import Array
 from svc_ros.io.g2o import GraphEdge, PoseGraph, adjoint
 from svc_ros.io.trajectories import Trajectory
+from svc_ros.io.transforms import interpolate_poses
 
 _MAX_ITERATIONS, _TOLERANCE = 100, 1e-9
 _TURNS_FIRST = np.array([3, 4, 5, 0, 1, 2])  # gtsam's order; taken twice it is the order it was
@@ -76,15 +77,23 @@ def optimise(graph: PoseGraph) -> OptimisedGraph:
 
 
 def correct_trajectory(odometry: Trajectory, keyframes: Trajectory, optimised: Array) -> Trajectory:
-    """The poses of odometry with what optimising changed of the keyframes; optimised: (N, 4, 4), of these.
+    """The poses of odometry, moved with the keyframes around them; optimised: (N, 4, 4), of these.
 
-    Between two keyframes the change is interpolated, before the first and after the last one it is theirs.
+    Each pose stands to the keyframe before it and to the one after it as in odometry; where the two say different, it
+    lies between by its stamp. Before the first and after the last keyframe it goes with that one alone.
     """
-    if len(keyframes) == 0:
+    num = len(keyframes)
+    if num == 0:
         return odometry
-    changes = Trajectory(keyframes.stamps_ns, se3.invert(keyframes.poses) @ optimised)
-    within = np.clip(odometry.stamps_ns, keyframes.stamps_ns[0], keyframes.stamps_ns[-1])
-    poses = [T @ changes.at(int(stamp)) for T, stamp in zip(odometry.poses, within, strict=True)]
+    moves = optimised @ se3.invert(keyframes.poses)
+    following = np.searchsorted(keyframes.stamps_ns, odometry.stamps_ns)
+    before, after = np.clip(following - 1, 0, num - 1), np.clip(following, 0, num - 1)
+    from_ns, to_ns = keyframes.stamps_ns[before], keyframes.stamps_ns[after]
+    shares = np.clip((odometry.stamps_ns - from_ns) / np.maximum(to_ns - from_ns, 1), 0.0, 1.0)
+    poses = [
+        interpolate_poses(moves[k] @ T, moves[n] @ T, share)
+        for k, n, T, share in zip(before, after, odometry.poses, shares.tolist(), strict=True)
+    ]
     return Trajectory(odometry.stamps_ns, np.array(poses).reshape(-1, 4, 4))
 
 

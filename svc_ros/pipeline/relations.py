@@ -15,57 +15,75 @@ LEAST_GAIN, MOST_GAIN = float(np.log(3.0)), float(np.log(20.0))  # a corridor th
 _EXPECTED, _CONTRADICTS = 6.0, 22.5  # squared error of six degrees of freedom; all but one of 1000 right ones are below
 
 
-
 class Relations:
     """Of L loops: gain (L, L), by how much two that agree raise each other's log odds, 0 where they do not; contradicts
-    (L, L); is_same (L, L), both are between the same two places; by_odometry, whether odometry contradicts each."""
+    (L, L); is_same (L, L), both are between the same two places; shift_m, sigma_m (L, L), how far apart two are and how
+    well one tells the other; by_odometry (L,), whether odometry contradicts each."""
 
     def __init__(self, config: Config) -> None:
         self._config = config
         self.gain: NDArray[np.float64] = np.zeros((0, 0))
         self.contradicts: NDArray[np.bool_] = np.zeros((0, 0), bool)
         self.is_same: NDArray[np.bool_] = np.zeros((0, 0), bool)
-        self.by_odometry: list[bool] = []
+        self.shift_m: NDArray[np.float64] = np.zeros((0, 0))
+        self.sigma_m: NDArray[np.float64] = np.zeros((0, 0))
+        self.by_odometry: NDArray[np.bool_] = np.zeros(0, bool)
 
     def add(self, loop: PlacedLoop, others: Sequence[PlacedLoop]) -> None:
         """Take the next loop; others: those that are here."""
-        self.by_odometry.append(bool(fit_to_odometry(loop, self._config).sq_error[0] > _CONTRADICTS))
+        by_odometry = fit_to_odometry(loop, self._config).sq_error > _CONTRADICTS
+        self.by_odometry = np.concatenate([self.by_odometry, by_odometry])
         gain, contradicts, is_same = np.zeros(0), np.zeros(0, bool), np.zeros(0, bool)
+        shift_m, sigma_m = np.zeros(0), np.zeros(0)
         if others:
             fit = fit_to_loops(loop, others, self._config)
             spread = 2.0 * self._config.loop_closure.max_distance_m
             gain = np.minimum(np.log(spread / (np.sqrt(2.0 * np.pi) * fit.sigma_m)), MOST_GAIN)
             gain -= 0.5 * np.maximum(fit.sq_error - _EXPECTED, 0.0)
             gain = np.where(gain >= LEAST_GAIN, gain, 0.0)
-            contradicts = fit.sq_error > _CONTRADICTS
+            contradicts, shift_m, sigma_m = fit.sq_error > _CONTRADICTS, fit.shift_m, fit.sigma_m
             is_same = distance_between(loop, others) < self._config.agreement.independent_m
         self.gain = _grown(self.gain, gain)
         self.contradicts, self.is_same = _grown(self.contradicts, contradicts), _grown(self.is_same, is_same)
+        self.shift_m, self.sigma_m = _grown(self.shift_m, shift_m), _grown(self.sigma_m, sigma_m)
 
     def forget_first(self) -> None:
         """Give up the oldest loop."""
         self.by_odometry = self.by_odometry[1:]
         self.gain, self.contradicts, self.is_same = self.gain[1:, 1:], self.contradicts[1:, 1:], self.is_same[1:, 1:]
+        self.shift_m, self.sigma_m = self.shift_m[1:, 1:], self.sigma_m[1:, 1:]
 
     def pieces(self, ordered: Sequence[int], most: int | None = None) -> list[int]:
         """Of those loops, in their order, the ones that are not between the same places as an earlier one."""
         found: list[int] = []
         for loop in ordered:
-            if len(found) != most and not self.is_same[loop, found].any():
+            if len(found) == most:
+                break
+            if not self.is_same[loop, found].any():
                 found.append(loop)
         return found
 
-    def weights(self, alone: Sequence[float], chances: NDArray[np.float64]) -> NDArray[np.float64]:
+    def is_pinned(self, loop: int, pieces: Sequence[int], sure: Sequence[int], known_m: float) -> bool:
+        """Whether the pieces tell within `known_m` where a loop puts its source, and nothing sure says otherwise.
+
+        The loop is one of which nothing but a standard deviation of `known_m` is known; all of them lie within that of
+        the pieces. What is open along a direction may have slid there, by less than drift can explain.
+        """
+        variance = np.maximum(self.sigma_m[loop] ** 2 - known_m**2, 1e-9)  # of the others, and of the way to them
+        is_told_apart = (variance[sure] <= known_m**2) & (self.shift_m[loop, sure] > known_m)
+        return bool(np.sum(1.0 / variance[pieces]) >= 1.0 / known_m**2) and not bool(is_told_apart.any())
+
+    def weights(self, alone: NDArray[np.float64], chances: NDArray[np.float64]) -> NDArray[np.float64]:
         """(L,), of each loop the weight of a set that it belongs to, in which no two contradict each other and each
         agrees with another one; loops between the same places weigh once.
 
-        alone: by which sets are begun, the largest first; chances: (L,), what each weighs.
+        alone: by which sets are begun, the largest first; chances: (L,), what each weighs; those of 0 are in no set.
         """
-        weights = np.zeros(len(alone))
-        for seed in sorted(range(len(alone)), key=lambda i: -alone[i]):
+        weights, counts = np.zeros(len(alone)), chances > 0.0
+        for seed in sorted(np.flatnonzero(counts).tolist(), key=lambda i: -alone[i]):
             if weights[seed] > 0.0:
                 continue
-            members, is_free = [seed], ~self.contradicts[seed]
+            members, is_free = [seed], counts & ~self.contradicts[seed]
             is_free[seed] = False
             gain = np.where(is_free, self.gain[seed], 0.0)
             while gain.max() > 0.0:

@@ -13,6 +13,7 @@ from svc_ros.core.config import preset, with_values
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.io.results import result_to_json
 from svc_ros.io.trajectories import Trajectory
+from svc_ros.pipeline import agreement as agreement_module
 from svc_ros.pipeline.agreement import Agreement, last_words
 from svc_ros.pipeline.pose_graph import build_pose_graph
 from svc_ros.pipeline.stream import StreamDecision
@@ -158,6 +159,83 @@ def test_an_improbable_one_needs_more_than_one_that_agrees() -> None:
     assert pairs([undecided]) <= accepted_pairs(told_of([undecided, *right]))
 
 
+def alike(source: int, target: int, off: tuple[float, float], accepted: bool, probability: float) -> StreamDecision:
+    """A loop in a place that looks like the right one, `off` [m] from it in the target's frame."""
+    return loop(source, target, pose(*off) @ se3.invert(TRUTH[target]) @ TRUTH[source], accepted, probability)
+
+
+@pytest.mark.parametrize("probability", [0.3, 0.5, 0.8])
+def test_a_loop_that_is_withdrawn_confirms_no_other(probability: float) -> None:
+    near = LENGTH + 3, LENGTH - 3
+    wrong = alike(*near, (4.0, 0.0), True, 0.87)  # odometry contradicts it
+    neighbour = alike(near[0] + 4, near[1] - 4, (4.0, 0.0), False, probability)
+    assert accepted_pairs(told_of([wrong, neighbour])) == set()
+    assert accepted_pairs(told_of([neighbour, wrong])) == set()
+
+
+def test_loops_left_undecided_do_not_speak_for_one_that_odometry_contradicts() -> None:
+    family = [alike(LENGTH + k, LENGTH - k, (6.0, 0.0), k == 3, 0.87 if k == 3 else 0.5) for k in (3, 7, 11)]
+    assert accepted_pairs(told_of(family)) == set()
+
+
+@pytest.mark.parametrize("num_right", [4, 8, 12])
+def test_a_place_alike_that_was_accepted_once_lifts_no_neighbour_beside_right_loops(num_right: int) -> None:
+    rng = np.random.default_rng(num_right)
+    for _ in range(20):
+        right = [loop(LENGTH + k, LENGTH - k) for k in rng.choice(np.arange(3, 36), num_right, replace=False)]
+        first = int(rng.integers(8, 33))
+        angle, far_m = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(2.0, 8.0)
+        off = (far_m * np.cos(angle), far_m * np.sin(angle))
+        family = [
+            alike(LENGTH + k, LENGTH - k - 1, off, k == first, 0.9 if k == first else 0.4)
+            for k in (first, first - 6, first + 5)
+        ]
+        assert accepted_pairs(told_of([family[0], *right, *family[1:]])) & pairs(family[1:]) == set()
+
+
+@pytest.mark.parametrize("name", ["lidar_indoor", "lidar_outdoor"])
+@pytest.mark.parametrize("apart", [2, 4, 8])
+@pytest.mark.parametrize("slid_m", [1.0, 1.5, 2.0])
+def test_what_may_have_slid_along_an_open_direction_is_not_accepted(name: str, apart: int, slid_m: float) -> None:
+    right = [loop(LENGTH + 15 + k, LENGTH - 15 - k) for k in (-apart, apart)]
+    slid = alike(LENGTH + 15, LENGTH - 15, (slid_m, 0.0), False, 0.6)
+    agreement = Agreement(preset(name))
+    told = [t for decision in (*right, slid) for t in agreement.add([decision], ODOMETRY)]
+    assert accepted_pairs(told) == pairs(right)
+
+
+def test_the_covariance_of_what_others_confirm_covers_its_error() -> None:
+    for off_m in (0.0, 0.2, 0.35):
+        undecided = alike(LENGTH + 15, LENGTH - 15, (off_m, 0.0), False, 0.3)
+        right = [loop(LENGTH + k, LENGTH - k) for k in (3, 7, 11, 19, 23, 27)]
+        told = last_words(told_of([*right, undecided]))
+        (found,) = (d.result for d in told if pairs([d]) == pairs([undecided]))
+        assert found.accepted
+        assert found.covariance is not None
+        assert off_m <= np.sqrt(found.covariance[0, 0])
+
+
+def test_two_independent_loops_lift_an_improbable_one_and_one_does_not() -> None:
+    undecided, near = loop(LENGTH + 15, LENGTH - 15, accepted=False, probability=0.4), (LENGTH + 11, LENGTH - 11)
+    outdoor = preset("lidar_outdoor")
+    for others, is_lifted in ((1, False), (2, True)):
+        right = [loop(*near), loop(LENGTH + 19, LENGTH - 19)][:others]
+        agreement = Agreement(outdoor)
+        told = [t for decision in (undecided, *right) for t in agreement.add([decision], ODOMETRY)]
+        assert (pairs([undecided]) <= accepted_pairs(told)) == is_lifted
+
+
+def test_what_others_confirmed_stays_when_those_are_too_old_to_be_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(agreement_module, "_MAX_LOOPS", 4)
+    first = [loop(LENGTH + k, LENGTH - k) for k in (3, 11)]
+    lifted = loop(LENGTH + 7, LENGTH - 7, accepted=False, probability=0.5)
+    later = [loop(LENGTH + k, LENGTH - k) for k in (28, 31, 34, 37)]
+    agreement = Agreement(preset("lidar_outdoor"))
+    told = [t for decision in (*first, lifted, *later) for t in agreement.add([decision], ODOMETRY)]
+    assert accepted_pairs(told) == pairs([*first, lifted, *later])
+    assert len(told) == len(first) + 2 + len(later)
+
+
 def test_neighbours_of_one_place_are_one_piece_of_evidence() -> None:
     crowd = [loop(LENGTH + 10 + k, LENGTH - 10 - k, accepted=False, probability=0.5) for k in range(4)]
     assert accepted_pairs(told_of(crowd)) == set()
@@ -167,6 +245,7 @@ def test_an_undecided_one_that_agrees_with_nothing_is_unconfirmed() -> None:
     stray = loop(LENGTH + 1, LENGTH - 2, pose(8.0, -3.0, 90.0), accepted=False, probability=0.6)
     (told,) = told_of([stray])
     assert (told.result.verdict, told.result.reason) == (Verdict.UNDECIDED, Reason.UNCONFIRMED)
+    assert told.result.detail.endswith("agrees with it: insufficient_evidence: of the pair")
 
 
 def test_what_is_rejected_is_never_lifted() -> None:

@@ -185,9 +185,21 @@ def test_between_keyframes_the_correction_is_interpolated() -> None:
     assert way.stamps_ns.tolist() == stamps.tolist()
     for k, vertex in ((0, 0), (1, 0), (3, 3), (4, 3)):
         np.testing.assert_allclose(way.poses[k], found.poses[vertex], atol=1e-9)
-    change = se3.invert(odometry.poses[2]) @ way.poses[2]
-    full = [se3.invert(graph.poses[k]) @ found.poses[k] for k in (0, 1)]
-    np.testing.assert_allclose(change[:3, 3], 0.5 * (full[0] + full[1])[:3, 3], atol=1e-9)
+    both = [found.poses[k] @ se3.invert(graph.poses[k]) @ odometry.poses[2] for k in (0, 1)]
+    np.testing.assert_allclose(way.poses[2][:3, 3], 0.5 * (both[0] + both[1])[:3, 3], atol=1e-9)
+
+
+def test_what_moves_as_a_whole_is_not_bent_between_keyframes() -> None:
+    turn = se3.make_pose(Rotation.from_euler("z", 10.0, degrees=True).as_matrix(), (1.0, 2.0, 0.0))
+    along = [
+        se3.make_pose(Rotation.from_euler("z", 2.0 * min(k, 10), degrees=True).as_matrix(), (100.0 + 0.1 * k, 0.0, 0.0))
+        for k in range(20)
+    ]
+    odometry = Trajectory(10 * np.arange(1, 21), np.array(along))
+    for ends in ([0, 10], [3, 7, 19], [5]):  # also before the first keyframe and after the last one
+        keyframes = Trajectory(odometry.stamps_ns[ends], odometry.poses[ends])
+        way = correct_trajectory(odometry, keyframes, turn @ keyframes.poses)
+        np.testing.assert_allclose(way.poses, turn @ odometry.poses, atol=1e-9)
 
 
 def test_without_keyframes_odometry_stays() -> None:

@@ -118,6 +118,20 @@ def test_scans_are_followed_while_a_candidate_is_judged(held) -> None:
     assert bench.engine.numbers() == {"keyframes": 10, "loops": 5}
 
 
+def test_a_reset_that_forgets_loops_is_a_change_of_the_graph() -> None:
+    bench = Bench()
+    bench.walk()
+    bench.judges.wait()
+    before = bench.engine.graph()
+    bench.engine.reset()
+    assert bench.engine.graph() is None
+    bench.walk(range(2))
+    bench.judges.wait()
+    after = bench.engine.graph()
+    assert len(after[1]) == 2
+    assert after[0] > before[0]
+
+
 def test_keyframes_that_cannot_be_judged_in_time_are_superseded_and_still_targets(held) -> None:
     begun, may_end = held
     bench = Bench(num_threads=1)

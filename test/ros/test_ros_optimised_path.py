@@ -63,6 +63,21 @@ def test_a_change_is_sent_once_and_the_next_one_again():
     assert node.sent[1].poses[2].pose.position.y == pytest.approx(0.0, abs=1e-6)
 
 
+def test_after_a_reset_an_empty_path_takes_the_place_of_the_last_one():
+    pytest.importorskip("gtsam", reason="gtsam not installed: pip install 'svc_ros[graph]'")
+    node, found = StandInNode(), [(1, KEYFRAMES, PoseGraph(POSES, [*STEPS, EDGE]))]
+    path = path_of(node, found)
+    tell(path)
+    found[0] = None
+    tell(path)
+    tell(path)
+    assert [len(message.poses) for message in node.sent] == [3, 0]
+    assert node.sent[1].header.frame_id == "odom"
+    found[0] = (2, KEYFRAMES, PoseGraph(POSES, STEPS))
+    tell(path)
+    assert len(node.sent[2].poses) == 3
+
+
 def test_nothing_is_computed_without_loops_keyframes_or_subscribers(monkeypatch):
     monkeypatch.setattr(optimised_path, "optimise_poses", pytest.fail)
     graph = PoseGraph(POSES, STEPS)

@@ -111,7 +111,9 @@ class LoopEngine:
         finally:
             self._num_graphs += self._closer is not None and len(self._closer.keyframe_poses) > 0
             self._closer, self._last = None, None
-            self._loops = {}
+            with self._found:
+                self._num_changes += bool(self._loops)
+                self._loops = {}
             self._order.clear()
 
     def warm_up(self, config: Config) -> None:

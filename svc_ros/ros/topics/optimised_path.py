@@ -34,18 +34,24 @@ class OptimisedPath:
     ) -> None:
         self._node, self._graph, self._frame = node, graph, frame
         self._publisher = node.create_publisher(Path, "~/optimized_path", _LAST_PATH)
-        self._told, self._is_possible = 0, True
+        self._told, self._has_path, self._is_possible = 0, False, True
         self._thread: threading.Thread | None = None
 
     def tell(self) -> None:
-        """Compute and send the path anew, if loops have changed and somebody listens; called once a second."""
+        """Compute and send the path anew, if loops have changed and somebody listens; called once a second.
+
+        After a reset, until there are keyframes again, it is an empty one: the last path is kept for who comes later.
+        """
         is_busy = self._thread is not None and self._thread.is_alive()
         if is_busy or not self._is_possible or not self._publisher.get_subscription_count():
             return
         found = self._graph()
+        if found is None and self._has_path:
+            self._has_path = False
+            self._publisher.publish(Path(header=header(0, self._frame())))
         if found is None or found[0] == self._told:
             return
-        self._told = found[0]
+        self._told, self._has_path = found[0], True
         self._thread = threading.Thread(target=self._send, args=found[1:], name="optimised path", daemon=True)
         self._thread.start()
 
