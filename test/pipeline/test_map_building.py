@@ -15,10 +15,8 @@ from svc_ros.core import se3
 from svc_ros.core.config import Config, preset, with_values
 from svc_ros.core.errors import InputError
 from svc_ros.core.scan import Scan
-from svc_ros.pipeline.consistency import PlacedLoop, ways_of
 from svc_ros.pipeline.map import Map
 from svc_ros.pipeline.mapping.building import Run, build_map
-from svc_ros.pipeline.mapping.joining import largest_agreement
 
 pytest.importorskip("gtsam", reason="gtsam not installed: pip install 'svc_ros[graph]'")
 
@@ -111,27 +109,6 @@ def test_keyframes_of_another_kind_are_not_joined(there: Map, tmp_path: Path) ->
     other = with_values(CONFIG, {"preprocess.voxel_size_m": 0.2})
     with pytest.raises(InputError, match=r"expected preprocess\.voxel_size_m 0\.3"):
         build_map([run("back", BACK, 100, other)], tmp_path / "map", there)
-
-
-STRAIGHT = np.array([se3.make_pose(np.eye(3), (float(x), 0.0, 0.0)) for x in range(12)])
-
-
-def loop(source: int, target: int, slip_m: float = 0.0, turn: np.ndarray | None = None) -> PlacedLoop:
-    """Between a way along x and the same way, exact but for a slip along it, or a turn."""
-    T = se3.make_pose(np.eye(3) if turn is None else turn, (float(source - target) + slip_m, 0.0, 0.0))
-    ways = ways_of(STRAIGHT)
-    covariance = np.diag([1e-4] * 3 + [1e-6] * 3)
-    return PlacedLoop(T, covariance, STRAIGHT[source], STRAIGHT[target], ways[source], ways[target])
-
-
-def test_loops_that_say_the_same_are_told_from_others() -> None:
-    right = [loop(1, 0), loop(4, 4, 0.01), loop(9, 10, -0.02)]
-    wrong = [loop(2, 2, 3.0), loop(3, 8, -2.0), loop(6, 5, 5.0), loop(8, 8, 9.0)]
-    mixed = [wrong[0], right[0], wrong[1], right[1], wrong[2], right[2], wrong[3]]
-    assert largest_agreement(mixed, CONFIG) == [1, 3, 5]
-    assert largest_agreement([], CONFIG) == []
-    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    assert largest_agreement([*right[:2], loop(4, 4, turn=quarter)], CONFIG) == [0, 1]
 
 
 @pytest.mark.parametrize(
