@@ -48,8 +48,9 @@ def map(
     Each bag is a run: its keyframes are placed by odometry and loops, and it is joined to those before it by loops that
     agree. A run that nothing joins for sure is an error, and no map is written.
     """
+    from svc_ros.io.maps.placing import check_map_place
     from svc_ros.pipeline.map import Map
-    from svc_ros.pipeline.mapping.building import build_map, check_map_place
+    from svc_ros.pipeline.mapping.building import build_map
     from svc_ros.replay.bags import expand_bags, folder_names
     from svc_ros.replay.job import ReplayJob
 

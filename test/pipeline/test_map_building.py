@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from svc_ros.core.config import Config, preset, with_values
 from svc_ros.core.errors import InputError
 from svc_ros.core.scan import Scan
 from svc_ros.pipeline.map import Map
-from svc_ros.pipeline.mapping.building import Run, build_map
+from svc_ros.pipeline.mapping.building import Run, Tracked, build_map
 
 pytest.importorskip("gtsam", reason="gtsam not installed: pip install 'svc_ros[graph]'")
 
@@ -126,14 +126,24 @@ def test_a_run_that_is_none_is_named(tmp_path: Path, scans: list[tuple[Scan, np.
     assert list(tmp_path.iterdir()) == []
 
 
-def test_only_a_map_is_replaced(tmp_path: Path) -> None:
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "letter.txt").write_text("dear")
-    (tmp_path / "file").write_text("")
-    for name, found in (("mine", "found one with other files"), ("file", "found a file in its place")):
-        with pytest.raises(InputError, match=found):
-            build_map([run("there", THERE)], tmp_path / name)
-    assert (tmp_path / "mine" / "letter.txt").read_text() == "dear"
+def test_a_map_that_nothing_extends_is_not_moved(there: Map, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="expected at least one run, found none"):
+        build_map([], tmp_path / "map", there)
+    assert there.folder.is_dir()
+
+
+def test_a_map_that_cannot_be_put_is_kept(tmp_path: Path) -> None:
+    """The place is taken while the map is built."""
+    out = tmp_path / "map"
+
+    def scans() -> Iterator[Tracked]:
+        yield from run("there", THERE[:2]).scans
+        out.write_text("dear")
+
+    with pytest.raises(InputError, match=r"found a file in its place; the new map is whole: ") as refused:
+        build_map([Run("there", scans(), CONFIG)], out)
+    assert len(Map.read(str(refused.value).rsplit(": ", 1)[1])) == 2
+    assert out.read_text() == "dear"
 
 
 def test_a_map_stays_where_the_next_one_fails(tmp_path: Path) -> None:
