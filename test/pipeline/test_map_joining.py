@@ -65,6 +65,19 @@ def test_far_loops_are_confirmed_by_those_between() -> None:
     assert core([loop(k, k) for k in range(10, 100, 4)]) == list(range(23))
 
 
+def test_no_more_drift_is_assumed_than_the_loops_need() -> None:
+    """Ten metres apart: where maps are good loops confirm each other, where one has drifted they do not reach."""
+    judge = LoopJudge(STRAIGHT, STRAIGHT, CONFIG)
+    good = [loop(k, k) for k in (10, 20, 30, 40, 50)]
+    assert core(good) == []
+    assert judge.surest(good)[1] == [0, 1, 2, 3, 4]
+    assert judge.surest([*good, loop(70, 70, 5.0)])[1] == [0, 1, 2, 3, 4]
+    assert judge.surest(good[:3])[1] == []  # so few would agree by chance
+    drifted = [loop(k, k, 0.05 * k) for k in range(10, 70, 4)]
+    assert len(core(drifted)) == 15
+    assert judge.surest(drifted)[1] == list(range(15))
+
+
 def test_a_map_that_was_there_twice_counts_the_shortest_way() -> None:
     """Sixty metres along the way, but an edge says that it is the same place."""
     xs = [*range(30), *range(29, -1, -1)]

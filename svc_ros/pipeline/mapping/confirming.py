@@ -6,6 +6,8 @@ and one that is far from all others is joined to them by those between.
 
 from __future__ import annotations
 
+import copy
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -21,6 +23,9 @@ from svc_ros.io.g2o import PoseGraph
 from svc_ros.pipeline.consistency import PlacedLoop, fit_to_loops
 
 _MOST_SQ_ERROR = 22.5  # of six degrees of freedom: what agrees is below, but for one in a thousand
+_SHARES = (0.1, 0.3, 1.0)  # of the drift that is possible: poses of a map are mostly better
+_AS_WELL, _MANY = 0.7, 4  # of the most loops that confirm each other; with fewer than so many nobody knows
+_LEAST_DRIFT = 1e-4  # of odometry, what configurations allow
 _LEAST_STEP_M = 1e-6  # a way of no length would be none
 _NO_WAY_M = 1e6  # where no edges join two keyframes nothing is known
 
@@ -53,6 +58,16 @@ class LoopJudge:
 
     def __init__(self, first: PoseGraph, second: PoseGraph, config: Config) -> None:
         self._first, self._second, self._config = _Ways(first), _Ways(second), config
+
+    def surest(self, loops: Sequence[JoiningLoop]) -> tuple[LoopJudge, list[int]]:
+        """One that assumes the least drift with which the loops confirm each other about as well, and their largest
+        core: the less drift, the better wrong loops are told from right ones, and the farther right ones reach."""
+        judges = [self._with_drift(share) for share in _SHARES]
+        cores = [judge.largest_core(loops) for judge in judges]
+        most = max(len(core) for core in cores)
+        enough = _AS_WELL * most if most >= _MANY else np.inf
+        found = list(zip(judges, cores, strict=True))
+        return next((each for each in found if len(each[1]) >= enough), found[-1])
 
     def confirmation(self, this: JoiningLoop, others: Sequence[JoiningLoop]) -> Confirmation:
         """How the others, at least one, speak of a loop."""
@@ -92,6 +107,15 @@ class LoopJudge:
             core = [k for k, p in zip(group, part, strict=True) if p == np.bincount(part).argmax()]
             best = max(best, core, key=len)
         return sorted(best) if len(best) > 1 else []
+
+    def _with_drift(self, share: float) -> LoopJudge:
+        limits, judge = self._config.agreement, copy.copy(self)
+        less = dataclasses.replace(
+            limits, drift_ratio=max(share * limits.drift_ratio, _LEAST_DRIFT),
+            drift_deg_per_metre=max(share * limits.drift_deg_per_metre, _LEAST_DRIFT),
+        )  # fmt: skip
+        judge._config = dataclasses.replace(self._config, agreement=less)
+        return judge
 
     def _placed(self, loop: JoiningLoop, source_way: Array, target_way: Array) -> PlacedLoop:
         return PlacedLoop(

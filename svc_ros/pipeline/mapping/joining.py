@@ -55,11 +55,9 @@ def join_maps(first: Map, second: Map, folder: Path) -> Map:
 
 def find_joining_loops(first: Map, second: Map) -> list[JoiningLoop]:
     """Loops between the maps that confirm each other, at least two. Raises InputError where there are none."""
-    judge = LoopJudge(
-        PoseGraph(first.poses, first.graph.edges), PoseGraph(second.poses, second.graph.edges), second.config
-    )
+    one, other = (PoseGraph(each.poses, each.graph.edges) for each in (first, second))
     by_look = list(_loops_by_look(first, second))
-    core = judge.largest_core(by_look)
+    judge, core = LoopJudge(one, other, second.config).surest(by_look)
     others = [loop for k, loop in enumerate(by_look) if k not in core]
     sure = [by_look[k] for k in core]
     num_rivals = sum(bool(judge.confirmation(loop, sure).contradicts.any()) for loop in others) if sure else 0
