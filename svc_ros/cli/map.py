@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -48,8 +48,10 @@ def map(
     Each bag is a run: its keyframes are placed by odometry and loops, and it is joined to those before it by loops that
     agree. A run that nothing joins for sure is an error, and no map is written.
     """
+    from svc_ros.io.maps.placing import check_map_place
+    from svc_ros.io.maps.reading import check_preprocess
     from svc_ros.pipeline.map import Map
-    from svc_ros.pipeline.mapping.building import build_map, check_map_place
+    from svc_ros.pipeline.mapping.building import build_map
     from svc_ros.replay.bags import expand_bags, folder_names
     from svc_ros.replay.job import ReplayJob
 
@@ -61,6 +63,8 @@ def map(
         if preset is not None:
             raise InputError(f"--preset {preset}: expected none beside --extend, the map has its own configuration")
         config, name = wanted.over(extended.config), str(extend)
+        if config_file is not None:
+            check_preprocess(config_file, config.preprocess, asdict(extended.config.preprocess))
     jobs = [
         ReplayJob(
             path, out, config, name, "loop_closure", topic, start, duration, sensor_frame=sensor_frame,

@@ -26,7 +26,7 @@ _MAX_KEPT = 64  # keyframes in memory, with what was computed of them
 class Map:
     """Keyframes where they stood; safe for use from several threads.
 
-    Scans stay on disk and are mapped into memory when they are asked for; the last of them are kept. Where a keyframe
+    Scans stay on disk and are read when they are asked for; the last of them are kept. Where a keyframe
     stands is `T_map_scan`, and as a Keyframe's `T_odom_scan` it is that, too: the map is the frame of both.
     """
 

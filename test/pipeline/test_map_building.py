@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +15,8 @@ from svc_ros.core import se3
 from svc_ros.core.config import Config, preset, with_values
 from svc_ros.core.errors import InputError
 from svc_ros.core.scan import Scan
-from svc_ros.pipeline.consistency import PlacedLoop, ways_of
 from svc_ros.pipeline.map import Map
-from svc_ros.pipeline.mapping.building import Run, build_map
-from svc_ros.pipeline.mapping.joining import largest_agreement
+from svc_ros.pipeline.mapping.building import Run, Tracked, build_map
 
 pytest.importorskip("gtsam", reason="gtsam not installed: pip install 'svc_ros[graph]'")
 
@@ -113,27 +111,6 @@ def test_keyframes_of_another_kind_are_not_joined(there: Map, tmp_path: Path) ->
         build_map([run("back", BACK, 100, other)], tmp_path / "map", there)
 
 
-STRAIGHT = np.array([se3.make_pose(np.eye(3), (float(x), 0.0, 0.0)) for x in range(12)])
-
-
-def loop(source: int, target: int, slip_m: float = 0.0, turn: np.ndarray | None = None) -> PlacedLoop:
-    """Between a way along x and the same way, exact but for a slip along it, or a turn."""
-    T = se3.make_pose(np.eye(3) if turn is None else turn, (float(source - target) + slip_m, 0.0, 0.0))
-    ways = ways_of(STRAIGHT)
-    covariance = np.diag([1e-4] * 3 + [1e-6] * 3)
-    return PlacedLoop(T, covariance, STRAIGHT[source], STRAIGHT[target], ways[source], ways[target])
-
-
-def test_loops_that_say_the_same_are_told_from_others() -> None:
-    right = [loop(1, 0), loop(4, 4, 0.01), loop(9, 10, -0.02)]
-    wrong = [loop(2, 2, 3.0), loop(3, 8, -2.0), loop(6, 5, 5.0), loop(8, 8, 9.0)]
-    mixed = [wrong[0], right[0], wrong[1], right[1], wrong[2], right[2], wrong[3]]
-    assert largest_agreement(mixed, CONFIG) == [1, 3, 5]
-    assert largest_agreement([], CONFIG) == []
-    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    assert largest_agreement([*right[:2], loop(4, 4, turn=quarter)], CONFIG) == [0, 1]
-
-
 @pytest.mark.parametrize(
     ("scans", "said"),
     [
@@ -149,14 +126,24 @@ def test_a_run_that_is_none_is_named(tmp_path: Path, scans: list[tuple[Scan, np.
     assert list(tmp_path.iterdir()) == []
 
 
-def test_only_a_map_is_replaced(tmp_path: Path) -> None:
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "letter.txt").write_text("dear")
-    (tmp_path / "file").write_text("")
-    for name, found in (("mine", "found one with other files"), ("file", "found a file in its place")):
-        with pytest.raises(InputError, match=found):
-            build_map([run("there", THERE)], tmp_path / name)
-    assert (tmp_path / "mine" / "letter.txt").read_text() == "dear"
+def test_a_map_that_nothing_extends_is_not_moved(there: Map, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="expected at least one run, found none"):
+        build_map([], tmp_path / "map", there)
+    assert there.folder.is_dir()
+
+
+def test_a_map_that_cannot_be_put_is_kept(tmp_path: Path) -> None:
+    """The place is taken while the map is built."""
+    out = tmp_path / "map"
+
+    def scans() -> Iterator[Tracked]:
+        yield from run("there", THERE[:2]).scans
+        out.write_text("dear")
+
+    with pytest.raises(InputError, match=r"found a file in its place; the new map is whole: ") as refused:
+        build_map([Run("there", scans(), CONFIG)], out)
+    assert len(Map.read(str(refused.value).rsplit(": ", 1)[1])) == 2
+    assert out.read_text() == "dear"
 
 
 def test_a_map_stays_where_the_next_one_fails(tmp_path: Path) -> None:

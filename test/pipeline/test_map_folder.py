@@ -111,6 +111,20 @@ def test_keyframes_in_memory_are_bounded(
     assert found.keyframe(1) is not second
 
 
+def test_keyframes_that_are_held_take_no_file_handles(
+    written: tuple[Path, list[PreparedScan]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(map_module, "_MAX_KEPT", 1)
+    handles = Path("/proc/self/fd")
+    if not handles.is_dir():
+        pytest.skip("no /proc to count them in")
+    found = Map.read(written[0])
+    before = len(list(handles.iterdir()))
+    held = [found.keyframe(k % len(STANDS)) for k in range(20)]
+    assert len({id(keyframe) for keyframe in held}) == 20
+    assert len(list(handles.iterdir())) <= before
+
+
 def test_several_threads_get_the_same_keyframes(
     written: tuple[Path, list[PreparedScan]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -212,6 +226,14 @@ def test_what_is_broken_is_named(copied: Path, breaking: Callable[[Path], object
     breaking(copied)
     with pytest.raises(InputError, match=said):
         Map.read(copied)
+
+
+def test_a_file_that_was_cut_since_is_named(copied: Path) -> None:
+    found = Map.read(copied)
+    cut("points.npy")(copied)
+    found.keyframe(0)
+    with pytest.raises(InputError, match=r"points.npy: expected rows up to \d+, found an end before them"):
+        found.keyframe(4)
 
 
 @pytest.mark.parametrize(

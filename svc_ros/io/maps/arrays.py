@@ -1,4 +1,4 @@
-"""Arrays in .npy files of their own: written row by row, checked when opened, mapped into memory part by part."""
+"""Arrays in .npy files of their own: written row by row, checked when opened, read part by part."""
 
 from __future__ import annotations
 
@@ -60,18 +60,19 @@ class ArrayFile:
     """
 
     def __init__(self, path: Path, dtype: np.dtype[Any], shape: Shape, num_rows: int) -> None:
-        self._dtype, self._shape = dtype, (num_rows, *shape)
+        self._path, self._dtype, self._shape = path, dtype, (num_rows, *shape)
         try:
             self._file = path.open("rb")
         except OSError as error:
             raise InputError(f"{path}: cannot be read: {error.strerror}") from None
         try:
-            self._check(path)
+            self._check()
         except BaseException:
             self._file.close()
             raise
 
-    def _check(self, path: Path) -> None:
+    def _check(self) -> None:
+        path = self._path
         try:
             version = npy.read_magic(self._file)
             if version != (1, 0):
@@ -92,20 +93,24 @@ class ArrayFile:
         if found != expected:
             raise InputError(f"{path}: expected {expected} bytes, found {found}")
 
-    def mapped(self, begin: int = 0, num: int | None = None) -> NDArray[Any]:
-        """So many rows, all from `begin` on without a number; read-only, in memory only as far as they are looked at.
+    def mapped(self) -> NDArray[Any]:
+        """All rows, read-only, in memory as far as they are looked at; takes a file handle for as long as it lives."""
+        if 0 in self._shape:
+            return np.zeros(self._shape, self._dtype)
+        return np.asarray(np.memmap(self._file, self._dtype, "r", self._begin, self._shape))
 
-        For one thread at a time.
+    def rows(self, begin: int = 0, num: int | None = None) -> NDArray[Any]:
+        """So many rows, all from `begin` on without a number, as an array of its own. For one thread at a time.
+
+        Raises InputError where the file has become shorter since it was opened.
         """
         shape = (self._shape[0] - begin if num is None else num, *self._shape[1:])
-        if 0 in shape:
-            return np.zeros(shape, self._dtype)
-        row_bytes = self._dtype.itemsize * int(np.prod(shape[1:], dtype=np.int64))
-        return np.asarray(np.memmap(self._file, self._dtype, "r", self._begin + begin * row_bytes, shape))
-
-    def read(self) -> NDArray[Any]:
-        """All of it, as an array of its own."""
-        return np.array(self.mapped())
+        size, in_row = int(np.prod(shape, dtype=np.int64)), int(np.prod(shape[1:], dtype=np.int64))
+        self._file.seek(self._begin + begin * in_row * self._dtype.itemsize)
+        found = np.fromfile(self._file, self._dtype, size)
+        if len(found) != size:
+            raise InputError(f"{self._path}: expected rows up to {begin + shape[0]}, found an end before them")
+        return found.reshape(shape)
 
     def close(self) -> None:
         """Give the file back; what is mapped stays."""

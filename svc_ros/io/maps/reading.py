@@ -53,14 +53,14 @@ class MapFiles:
         for name in _KEYFRAME_ARRAYS:
             if rows[name] != rows["scans"]:
                 raise InputError(f"{self.folder / DESCRIPTION}: expected {rows['scans']} {name}, found {rows[name]}")
-        self._scans, edges = self._files["scans"].read(), self._files["edges"].read()
+        self._scans, edges = self._files["scans"].rows(), self._files["edges"].rows()
         for first, num, names in _PARTS:
             ends = [self._scans[first], self._scans[num], self._scans[first] + self._scans[num]]
             for name in names:
                 self._check_numbers("scans", ends, f"rows of {file_name(name)}", rows[name])
         self._check_numbers("scans", self._scans["session"], "sessions", len(self.sessions) - 1)
         self._check_numbers("edges", [edges["source"], edges["target"]], "keyframes", rows["scans"] - 1)
-        poses, covariances = self._files["poses"].read(), self._files["covariances"].read()
+        poses, covariances = self._files["poses"].rows(), self._files["covariances"].rows()
         turns = poses[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1)
         self._check_rows("poses", np.isfinite(poses).all((1, 2)) & (np.abs(turns - np.eye(3)) < _ROUNDING).all((1, 2)))
         self._check_rows("covariances", np.isfinite(covariances).all((1, 2)))
@@ -93,12 +93,11 @@ class MapFiles:
         row = self._scans[index]
         session = self.sessions[row["session"]]
         points, normals, directions, near, far = (
-            self._files[name].mapped(int(row[first]), int(row[num])) for first, num, names in _PARTS for name in names
+            self._files[name].rows(int(row[first]), int(row[num])) for first, num, names in _PARTS for name in names
         )
         try:
-            # Copies, aligned and writable as those of a new scan: kernels are not compiled for other ones.
             image = restore_range_image(
-                near.copy(), far.copy(), _pair(row["cell_size_deg"]), (int(row["first_row"]), int(row["num_rows"])),
+                near, far, _pair(row["cell_size_deg"]), (int(row["first_row"]), int(row["num_rows"])),
                 _pair(row["cell_ratios"]),
             )  # fmt: skip
             return PreparedScan(

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
-import tempfile
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +13,8 @@ import numpy as np
 from svc_ros.core.config import Config
 from svc_ros.core.errors import InputError
 from svc_ros.core.scan import Array, Scan
-from svc_ros.io.maps.layout import DESCRIPTION, MapGraph, Session
+from svc_ros.io.maps.layout import MapGraph, Session
+from svc_ros.io.maps.placing import MapPlace
 from svc_ros.io.maps.writing import MapWriter
 from svc_ros.io.trajectories import Trajectory
 from svc_ros.pipeline.graph_optimisation import load_gtsam, optimise
@@ -41,33 +40,27 @@ class Run:
 def build_map(runs: Iterable[Run], out: Path, extended: Map | None = None) -> Map:
     """Write a map of all runs, or of a map extended by them, into the folder `out`, and read it.
 
-    out: a new folder, an empty one, or that of a map, which is replaced once the new one is whole. The frame of the map
-    is the odometry frame of the first run. Raises InputError for another folder, a run without keyframes and one that
-    nothing joins to those before it; MissingDependencyError without gtsam.
+    out: a new folder, an empty one, or that of a map, which is replaced once the new one is whole; links are followed.
+    The frame of the map is the odometry frame of the first run. Raises InputError for another folder, a run without
+    keyframes and one that nothing joins to those before it; MissingDependencyError without gtsam.
     """
     load_gtsam()  # before hours of work, not after them
-    with _folder_to_be(out) as folder:
+    with MapPlace(out) as place:
         built = extended
         for number, run in enumerate(runs):
-            parts = [part for part in (built, _build_run(run, _made(folder / f"run{number}"))) if part is not None]
-            built = parts[0] if len(parts) == 1 else join_maps(parts[0], parts[1], _made(folder / f"joined{number}"))
+            parts = [part for part in (built, _build_run(run, _made(place.work / f"run{number}"))) if part is not None]
+            built = (
+                parts[0] if len(parts) == 1 else join_maps(parts[0], parts[1], _made(place.work / f"joined{number}"))
+            )
             for part in parts:
                 if part is not built and part is not extended:  # it would take as much room again
                     part.close()
                     shutil.rmtree(part.folder)
-        if built is None:
+        if built is None or built is extended:
             raise InputError("map: expected at least one run, found none")
         built.close()
-        _put(built.folder, out)
+        place.put(built.folder)
     return Map.read(out)
-
-
-def check_map_place(out: Path) -> None:
-    """Raise InputError unless a map can be written there: a new folder, an empty one, or that of a map."""
-    if out.is_dir() and any(out.iterdir()) and not (out / DESCRIPTION).is_file():
-        raise InputError(f"{out}: expected a new folder, an empty one, or that of a map, found one with other files")
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: expected a folder, found a file in its place")
 
 
 def _build_run(run: Run, folder: Path) -> Map:
@@ -78,9 +71,7 @@ def _build_run(run: Run, folder: Path) -> Map:
         between = [d for d in loops if {d.source_stamp_ns, d.target_stamp_ns} <= known]
         graph = build_pose_graph(poses, between, run.config.covariance)
         best = optimise(graph)
-        writer.finish(
-            MapGraph(best.poses, best.covariances, graph.edges), [Session(run.source, frame_id)], run.config
-        )
+        writer.finish(MapGraph(best.poses, best.covariances, graph.edges), [Session(run.source, frame_id)], run.config)
     finally:
         writer.close()
     return Map.read(folder)
@@ -111,29 +102,6 @@ def _write_keyframes(run: Run, writer: MapWriter) -> tuple[Trajectory, list[Stre
     return closer.keyframe_poses, list(loops.values()), next(iter(frames))
 
 
-@contextmanager
-def _folder_to_be(out: Path) -> Iterator[Path]:
-    """A folder beside `out` to work in, gone afterwards."""
-    check_map_place(out)
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        work = tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent)
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written: {error.strerror}") from None
-    with work as folder:
-        yield Path(folder)
-
-
 def _made(folder: Path) -> Path:
     folder.mkdir()
     return folder
-
-
-def _put(folder: Path, out: Path) -> None:
-    """Move a whole map to its place; a map that is there leaves it."""
-    try:
-        if out.exists():
-            out.rename(folder.parent / "replaced")
-        folder.rename(out)
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written: {error.strerror}") from None

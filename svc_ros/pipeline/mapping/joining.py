@@ -1,45 +1,29 @@
 """Two maps become one where loops between them agree: a run of which nothing is sure is not joined by guess.
 
 Loops are looked for by the look of places and judged as all loops are. Each says where the second map stands in the
-first. Loops from different places of the second map that say the same join both; then each other keyframe is judged
-where that puts it.
+first. Loops from different places that confirm each other join both; from them outwards each other keyframe is judged
+where that puts it, and what is confirmed in its turn is a loop, too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from svc_ros.core import se3
-from svc_ros.core.config import Config
 from svc_ros.core.errors import InputError
 from svc_ros.core.scan import Array
 from svc_ros.io.g2o import GraphEdge, PoseGraph
 from svc_ros.io.maps.layout import MapGraph
 from svc_ros.io.maps.writing import MapWriter
-from svc_ros.pipeline.consistency import PlacedLoop, fit_to_loops, ways_of
 from svc_ros.pipeline.graph_optimisation import optimise
 from svc_ros.pipeline.loop_closure import judge_candidate
 from svc_ros.pipeline.map import Map
+from svc_ros.pipeline.mapping.confirming import JoiningLoop, LoopJudge
 
-_MOST_SQ_ERROR = 22.5  # of six degrees of freedom: what agrees is below, but for one in a thousand
-_RIVALS = 0.5  # of as many loops as agree, fewer may say something else
-
-
-@dataclass(frozen=True, eq=False)
-class JoiningLoop:
-    """An accepted loop between a keyframe of the second map (source) and one of the first (target), by numbers.
-
-    T_target_source (4, 4) and covariance (6, 6) as a RegistrationResult has them.
-    """
-
-    source: int
-    target: int
-    T_target_source: Array
-    covariance: Array
+_RIVALS = 0.5  # of as many loops as are sure, fewer may say something else
 
 
 def join_maps(first: Map, second: Map, folder: Path) -> Map:
@@ -70,59 +54,63 @@ def join_maps(first: Map, second: Map, folder: Path) -> Map:
 
 
 def find_joining_loops(first: Map, second: Map) -> list[JoiningLoop]:
-    """Loops between the maps that agree with each other, at least two. Raises InputError where there are none."""
+    """Loops between the maps that confirm each other, at least two. Raises InputError where there are none."""
+    one, other = (PoseGraph(each.poses, each.graph.edges) for each in (first, second))
     by_look = list(_loops_by_look(first, second))
-    placed = [place_loop(loop, first, second) for loop in by_look]
-    group = largest_agreement(placed, second.config)
-    num_rivals = len(by_look) - len(group)
-    if not _confirm_each_other([placed[k] for k in group], second.config) or num_rivals >= _RIVALS * len(group):
-        raise InputError(
-            f"{_named(second)}: expected at least two loops with {_named(first)} from different places that agree, "
-            f"and less than half as many that do not, found {len(by_look)} loops, of which {len(group)} agree: "
-            "the runs are not joined"
-        )
-    agreeing = [by_look[k] for k in group]
-    known = {loop.source for loop in agreeing}
-    others = [k for k in range(len(second)) if k not in known]
-    return agreeing + list(_loops_by_place(first, second, agreeing, others))
+    judge, core = LoopJudge(one, other, second.config).surest(by_look)
+    others = [loop for k, loop in enumerate(by_look) if k not in core]
+    sure = [by_look[k] for k in core]
+    num_rivals = sum(bool(judge.confirmation(loop, sure).contradicts.any()) for loop in others) if sure else 0
+    if not sure or num_rivals >= _RIVALS * len(sure):
+        raise _not_joined(first, second, by_look, len(sure))
+    found, left = _grown(first, second, judge, sure, others)
+    # Nothing between says which of two such groups is right, and drift alone could bring them together.
+    if len(judge.largest_core(left)) >= len(sure):
+        raise _not_joined(first, second, by_look, len(sure))
+    return found
 
 
-def place_loop(loop: JoiningLoop, first: Map, second: Map) -> PlacedLoop:
-    """The loop on both ways: its target's way is that of the first map, its source's that of the second."""
-    source_way, target_way = ways_of(second.poses)[loop.source], ways_of(first.poses)[loop.target]
-    return PlacedLoop(
-        loop.T_target_source, loop.covariance, second.poses[loop.source], first.poses[loop.target], source_way,
-        target_way,
-    )  # fmt: skip
+def _not_joined(first: Map, second: Map, by_look: Sequence[JoiningLoop], num_sure: int) -> InputError:
+    return InputError(
+        f"{_named(second)}: expected at least two loops with {_named(first)} from different places that agree, "
+        f"and less than half as many that do not, found {len(by_look)} loops, of which {num_sure} agree: "
+        "the runs are not joined"
+    )
 
 
-def largest_agreement(loops: Sequence[PlacedLoop], config: Config) -> list[int]:
-    """Numbers of the most loops of which no two contradict each other, in their order; found from each in turn."""
-    agree = np.array([fit_to_loops(loop, loops, config).sq_error <= _MOST_SQ_ERROR for loop in loops])
-    best: list[int] = []
-    order = np.argsort(-agree.sum(axis=1), kind="stable").tolist() if len(loops) else []
-    for seed in order:
-        group = [seed]
-        for k in order:
-            if k != seed and agree[k, group].all() and agree[group, k].all():
-                group.append(k)
-        best = max(best, group, key=len)
-    return sorted(best)
+def _grown(
+    first: Map, second: Map, judge: LoopJudge, sure: Sequence[JoiningLoop], others: Sequence[JoiningLoop]
+) -> tuple[list[JoiningLoop], list[JoiningLoop]]:
+    """The sure loops with those that they confirm one after another, outwards; and which of the others are left.
+
+    Others are loops by look; each other keyframe of the second map is judged where the nearest loop puts it.
+    """
+    found, left = _absorbed(judge, sure, others)
+    places = [loop.source for loop in found]
+    for source in sorted(range(len(second)), key=lambda source: min(abs(source - place) for place in places)):
+        if all(loop.source != source for loop in found):
+            new = [loop for loop in _loops_by_place(first, second, found, source) if _is_confirmed(judge, loop, found)]
+            if new:
+                found, left = _absorbed(judge, [*found, *new], left)
+    return found, left
 
 
-def _confirm_each_other(loops: Sequence[PlacedLoop], config: Config) -> bool:
-    """True where two of them come from different places, and drift alone could not bring them together."""
-    apart_m, sure_m = config.agreement.independent_m, config.loop_closure.keyframe_distance_m
-    return any(
-        bool(((np.linalg.norm(_sources(loops) - loop.T_odom_source[:3, 3], axis=1) >= apart_m)
-              & (fit_to_loops(loop, loops, config).sigma_m <= sure_m)).any())
-        for loop in loops
-    )  # fmt: skip
+def _absorbed(
+    judge: LoopJudge, found: Sequence[JoiningLoop], left: Sequence[JoiningLoop]
+) -> tuple[list[JoiningLoop], list[JoiningLoop]]:
+    """What is found with those that are left and that it confirms, until there are no more; and the rest."""
+    found, left = list(found), list(left)
+    pairs = {(loop.source, loop.target) for loop in found}
+    left = [loop for loop in left if (loop.source, loop.target) not in pairs]
+    while new := next((loop for loop in left if _is_confirmed(judge, loop, found)), None):
+        found.append(new)
+        left.remove(new)
+    return found, left
 
 
-def _sources(loops: Sequence[PlacedLoop]) -> Array:
-    """(L, 3) [m], where their sources stand."""
-    return np.array([loop.T_odom_source[:3, 3] for loop in loops])
+def _is_confirmed(judge: LoopJudge, loop: JoiningLoop, found: Sequence[JoiningLoop]) -> bool:
+    speak = judge.confirmation(loop, found)
+    return bool(speak.confirms.any() and not speak.contradicts.any())
 
 
 def _loops_by_look(first: Map, second: Map) -> Iterator[JoiningLoop]:
@@ -133,21 +121,15 @@ def _loops_by_look(first: Map, second: Map) -> Iterator[JoiningLoop]:
                 yield from _judged(first, second, (source, target), None)
 
 
-def _loops_by_place(
-    first: Map, second: Map, agreeing: Sequence[JoiningLoop], others: Sequence[int]
-) -> Iterator[JoiningLoop]:
-    """Of the other keyframes of the second map with what is near, each where the loop nearest to it says."""
+def _loops_by_place(first: Map, second: Map, found: Sequence[JoiningLoop], source: int) -> Iterator[JoiningLoop]:
+    """Of a keyframe of the second map with what is near where the loop nearest to it puts it."""
     limits = second.config.loop_closure
-    for source in others:
-        guide = min(agreeing, key=lambda loop: abs(loop.source - source))
-        T_guide_source = se3.invert(second.poses[guide.source]) @ second.poses[source]
-        T_first_source = first.poses[guide.target] @ guide.T_target_source @ T_guide_source
-        for target in first.near(T_first_source, limits.max_distance_m, limits.max_near):
-            guess = se3.nearest_pose(se3.invert(first.poses[target]) @ T_first_source)
-            for loop in _judged(first, second, (source, target), guess):
-                fit = fit_to_loops(place_loop(loop, first, second), [place_loop(guide, first, second)], second.config)
-                if fit.sq_error[0] <= _MOST_SQ_ERROR:
-                    yield loop
+    guide = min(found, key=lambda loop: abs(loop.source - source))
+    T_guide_source = se3.invert(second.poses[guide.source]) @ second.poses[source]
+    T_first_source = first.poses[guide.target] @ guide.T_target_source @ T_guide_source
+    for target in first.near(T_first_source, limits.max_distance_m, limits.max_near):
+        guess = se3.nearest_pose(se3.invert(first.poses[target]) @ T_first_source)
+        yield from _judged(first, second, (source, target), guess)
 
 
 def _judged(first: Map, second: Map, pair: tuple[int, int], guess: Array | None) -> Iterator[JoiningLoop]:
