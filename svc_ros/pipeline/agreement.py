@@ -20,10 +20,10 @@ from svc_ros.core.config import Config, values_of, with_values
 from svc_ros.core.result import Reason, Verdict
 from svc_ros.core.scan import Array
 from svc_ros.io.trajectories import Trajectory
-from svc_ros.pipeline.consistency import PlacedLoop, ways_of
-from svc_ros.pipeline.relations import Relations
+from svc_ros.pipeline.agreeing.consistency import PlacedLoop, ways_of
+from svc_ros.pipeline.agreeing.relations import Relations
+from svc_ros.pipeline.agreeing.weighing import HeldLoop, Opinion, Weighing, log_odds_of
 from svc_ros.pipeline.stream import StreamDecision, leave_undecided
-from svc_ros.pipeline.weighing import HeldLoop, Opinion, Weighing, log_odds_of
 
 ORIGIN = "agreement"
 Told = TypeVar("Told", bound=StreamDecision)

@@ -20,7 +20,7 @@ from svc_ros.core import se3
 from svc_ros.core.config import Config
 from svc_ros.core.scan import Array
 from svc_ros.io.g2o import PoseGraph
-from svc_ros.pipeline.consistency import PlacedLoop, fit_to_loops
+from svc_ros.pipeline.agreeing.consistency import PlacedLoop, fit_to_loops
 
 _MOST_SQ_ERROR = 22.5  # of six degrees of freedom: what agrees is below, but for one in a thousand
 _SHARES = (0.1, 0.3, 1.0)  # of the drift that is possible: poses of a map are mostly better

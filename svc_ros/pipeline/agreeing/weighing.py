@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from svc_ros.core.config import Config
 from svc_ros.core.scan import Array
-from svc_ros.pipeline.consistency import PlacedLoop
-from svc_ros.pipeline.relations import MOST_GAIN, Relations
+from svc_ros.pipeline.agreeing.consistency import PlacedLoop
+from svc_ros.pipeline.agreeing.relations import MOST_GAIN, Relations
 from svc_ros.pipeline.stream import StreamDecision
 
 _MOST_PIECES = 3  # more evidence than this changes nothing

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svc_ros.core.config import Config
-from svc_ros.pipeline.consistency import PlacedLoop, distance_between, fit_to_loops, fit_to_odometry
+from svc_ros.pipeline.agreeing.consistency import PlacedLoop, distance_between, fit_to_loops, fit_to_odometry
 
 LEAST_GAIN, MOST_GAIN = float(np.log(3.0)), float(np.log(20.0))  # a corridor that repeats has so many places alike
 _EXPECTED, _CONTRADICTS = 6.0, 22.5  # squared error of six degrees of freedom; all but one of 1000 right ones are below
