@@ -176,6 +176,7 @@ def test_ratios_are_medians_of_the_pairs_own_ratios():
     assert (found["pairs"], found["recall"], found["time_ms_p50"]) == (3, 1.0, 20.0)
 
 
+@pytest.mark.slow
 def test_peak_memory_is_that_of_a_process_of_its_own(data):
     import compare
     from lib.resident import peak_mb, resident_mb

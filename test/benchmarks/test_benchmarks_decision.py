@@ -392,6 +392,7 @@ def test_equal_scores_are_accepted_together():
     assert risk.tolist() == pytest.approx([0.0, 1 / 3, 0.5])
 
 
+@pytest.mark.slow
 def test_the_script_compares_fits_and_writes(report):
     import decision as script
 

@@ -221,6 +221,7 @@ def test_what_cannot_be_compared_ends_with_two(same_answers, monkeypatch, tmp_pa
     assert not (tmp_path / "out" / "latest.json").exists()
 
 
+@pytest.mark.slow
 def test_a_real_pair_is_registered_and_its_poses_judged(same_answers, shared_data):
     dataset = read_dataset(shared_data / "pairs" / "rgbd_redkitchen")
     jobs = same_answers.jobs_of(dataset, 1)

@@ -176,6 +176,7 @@ def run_with_threads(num: int) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_runs_and_thread_counts_give_the_same_bits():
     one, two, again = run_with_threads(1), run_with_threads(2), run_with_threads(2)
     assert len(one.splitlines()) == 5

@@ -66,6 +66,7 @@ def test_nothing_to_do_needs_no_scheduler():
     assert run_over("tcp://127.0.0.1:1", dask_processes.double, []) == []
 
 
+@pytest.mark.slow
 def test_local_workers_give_the_report_of_the_serial_run(room):
     progress = []
     serial = evaluate_dataset(read_dataset(room), CONFIG)

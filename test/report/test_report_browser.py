@@ -297,6 +297,7 @@ def test_a_view_shows_its_one_pair(browser, tmp_path):
     assert browser.complaints == []
 
 
+@pytest.mark.slow
 def test_the_report_that_a_replay_writes(browser, tmp_path):
     """From a bag to red lines on the screen: the carrier is put elsewhere after its second scan."""
     drive = simulate_drive(tmp_path, DriveConfig(num_scans=4, sensor="VLP-16", teleport_after=1))

@@ -64,6 +64,7 @@ def test_restamped_cloud_keeps_its_frame():
     assert (restamped.header.stamp.sec, restamped.header.frame_id, restamped.width) == (2, "target", 2)
 
 
+@pytest.mark.slow
 def test_bag_is_played_and_every_pair_is_decided(bag_path, tmp_path, monkeypatch):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     domain_id = own_domain_id(6)

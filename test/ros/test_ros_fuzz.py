@@ -93,6 +93,7 @@ def test_200_malformed_pairs_have_a_decision_each_and_the_next_pair_is_registere
     assert sum(reasons.values()) - reasons["unsupported_cloud"] - reasons["too_few_points"] > NUM_PAIRS / 20
 
 
+@pytest.mark.slow
 def test_malformed_scans_of_a_stream_have_a_decision_each_and_the_next_scan_goes_on(tmp_path):
     broken = list(broken_clouds(NUM_SCANS))
     parameters = {"mode": "scan_matching", "preset": "lidar_indoor", "process_every": "true"}

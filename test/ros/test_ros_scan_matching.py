@@ -251,6 +251,7 @@ def test_all_scans_have_one_decision_in_the_end(bench):
     assert accepted == len(bench.odometry) == len(bench.answers.transforms)
 
 
+@pytest.mark.slow
 def test_at_ten_times_the_rate_the_newest_win_and_the_counts_are_right_at_every_moment(tmp_path):
     parameters = {
         "mode": "scan_matching", "preset": "lidar_indoor", "queue_size": "2",

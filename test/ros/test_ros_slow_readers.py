@@ -185,6 +185,7 @@ def test_a_reader_that_is_slow_gets_every_decision_of_a_burst(host, tmp_path):
         assert reader.stamps == stream.stamps == [f"{stamp}.000000000" for stamp in range(1, num_played + 1)]
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_the_node_in_time_though_decisions_wait_for_a_stopped_reader(monkeypatch, tmp_path):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     parameters = {"mode": "scan_matching", "preset": "lidar_indoor"}

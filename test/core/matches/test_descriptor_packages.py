@@ -68,6 +68,7 @@ print(json.dumps([result.T_target_source.tolist(), result.counts]))
 """
 
 
+@pytest.mark.slow
 def test_the_example_joins_register(example):
     program = f"import sys\nsys.path.append({str(SUPPORT)!r})\n{PROGRAM}"
     done = run(example, "-c", program)
