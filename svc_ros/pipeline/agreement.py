@@ -16,18 +16,18 @@ from typing import TypeVar
 
 import numpy as np
 
-from svc_ros.core.config import Config, values_of, with_values
+from svc_ros.core.config import Config
 from svc_ros.core.result import Reason, Verdict
 from svc_ros.core.scan import Array
 from svc_ros.io.trajectories import Trajectory
 from svc_ros.pipeline.agreeing.consistency import PlacedLoop, ways_of
+from svc_ros.pipeline.agreeing.less_drift import with_less_drift
 from svc_ros.pipeline.agreeing.relations import Relations
 from svc_ros.pipeline.agreeing.weighing import HeldLoop, Opinion, Weighing, log_odds_of
 from svc_ros.pipeline.stream import StreamDecision, leave_undecided
 
 ORIGIN = "agreement"
 Told = TypeVar("Told", bound=StreamDecision)
-_SHARES = (0.1, 0.3, 1.0)  # of the drift that is possible: most odometry is better, and tells wrong loops better then
 _MAX_LOOPS = 500  # the newest; older ones keep the verdict they have
 _UNSURE_DEG = 1.0  # of the pose of an undecided loop, which comes without a covariance
 
@@ -87,12 +87,7 @@ class Agreement:
     # what is known of each loop
 
     def _new_relations(self) -> list[Relations]:
-        names = ("agreement.drift_ratio", "agreement.drift_deg_per_metre")
-        values = values_of(self._config)
-        return [
-            Relations(with_values(self._config, {n: max(share * float(values[n]), 1e-4) for n in names}))
-            for share in _SHARES
-        ]
+        return [Relations(config) for config in with_less_drift(self._config)]
 
     def _place(self, decision: StreamDecision, keyframes: Trajectory) -> PlacedLoop | None:
         result, source, target = decision.result, decision.T_odom_source, decision.T_odom_target

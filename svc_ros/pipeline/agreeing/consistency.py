@@ -18,6 +18,7 @@ from svc_ros.core.config import Config
 from svc_ros.core.scan import Array
 
 _STEADY_M = 20.0  # an error that grows evenly so far goes on like a random walk
+_MOST_SQ_ERROR = 22.5  # of six degrees of freedom: all but one of 1000 right ones are below
 _TURN_DRIFT = 0.02  # of an angle that odometry has turned by, the share that may be wrong
 
 
@@ -45,6 +46,11 @@ class Fit:
     sq_error: Array
     sigma_m: Array
     shift_m: Array
+
+    @property
+    def contradicts(self) -> NDArray[np.bool_]:
+        """(L,), whether the two cannot both be right."""
+        return self.sq_error > _MOST_SQ_ERROR
 
 
 def fit_to_loops(this: PlacedLoop, others: Sequence[PlacedLoop], config: Config) -> Fit:

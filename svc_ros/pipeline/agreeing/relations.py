@@ -12,7 +12,7 @@ from svc_ros.core.config import Config
 from svc_ros.pipeline.agreeing.consistency import PlacedLoop, distance_between, fit_to_loops, fit_to_odometry
 
 LEAST_GAIN, MOST_GAIN = float(np.log(3.0)), float(np.log(20.0))  # a corridor that repeats has so many places alike
-_EXPECTED, _CONTRADICTS = 6.0, 22.5  # squared error of six degrees of freedom; all but one of 1000 right ones are below
+_EXPECTED = 6.0  # squared error of six degrees of freedom
 
 
 class Relations:
@@ -31,7 +31,7 @@ class Relations:
 
     def add(self, loop: PlacedLoop, others: Sequence[PlacedLoop]) -> None:
         """Take the next loop; others: those that are here."""
-        by_odometry = fit_to_odometry(loop, self._config).sq_error > _CONTRADICTS
+        by_odometry = fit_to_odometry(loop, self._config).contradicts
         self.by_odometry = np.concatenate([self.by_odometry, by_odometry])
         gain, contradicts, is_same = np.zeros(0), np.zeros(0, bool), np.zeros(0, bool)
         shift_m, sigma_m = np.zeros(0), np.zeros(0)
@@ -41,7 +41,7 @@ class Relations:
             gain = np.minimum(np.log(spread / (np.sqrt(2.0 * np.pi) * fit.sigma_m)), MOST_GAIN)
             gain -= 0.5 * np.maximum(fit.sq_error - _EXPECTED, 0.0)
             gain = np.where(gain >= LEAST_GAIN, gain, 0.0)
-            contradicts, shift_m, sigma_m = fit.sq_error > _CONTRADICTS, fit.shift_m, fit.sigma_m
+            contradicts, shift_m, sigma_m = fit.contradicts, fit.shift_m, fit.sigma_m
             is_same = distance_between(loop, others) < self._config.agreement.independent_m
         self.gain = _grown(self.gain, gain)
         self.contradicts, self.is_same = _grown(self.contradicts, contradicts), _grown(self.is_same, is_same)

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from svc_ros.core.config import Config
 from svc_ros.core.scan import Array
 from svc_ros.pipeline.agreeing.consistency import PlacedLoop
+from svc_ros.pipeline.agreeing.less_drift import least_that_does
 from svc_ros.pipeline.agreeing.relations import MOST_GAIN, Relations
 from svc_ros.pipeline.stream import StreamDecision
 
 _MOST_PIECES = 3  # more evidence than this changes nothing
 _LEAST_PIECES = 2  # for a loop that its pair leaves undecided
 _FAILURE_BETWEEN = 0.001  # how often two right loops contradict each other, because odometry between them has failed
-_AS_WELL, _MANY = 0.7, 4.0  # of the weight of the loops that agree; with fewer than so many nobody knows
 _LEAST_PROBABILITY, _MOST_PROBABILITY = 1e-3, 0.99
 
 
@@ -144,9 +144,8 @@ class Weighing:
             for i, each in support.items():
                 alone[i] = self._odds(i, relations, each)
             found.append((relations, support, alone, relations.weights(alone, chances)))
-        most = found[-1][-1].max()
-        enough = _AS_WELL * most if most >= _MANY else np.inf
-        return next((each for each in found if each[-1].max() >= enough), found[-1])
+        heaviest = [float(weights.max()) for *_, weights in found]
+        return least_that_does(found, heaviest, heaviest[-1])
 
     def _supports(self, relations: Relations, speaks: NDArray[np.bool_]) -> dict[int, _Support]:
         """Of each loop that was accepted on its pair."""

@@ -7,7 +7,6 @@ and one that is far from all others is joined to them by those between.
 from __future__ import annotations
 
 import copy
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -21,11 +20,8 @@ from svc_ros.core.config import Config
 from svc_ros.core.scan import Array
 from svc_ros.io.g2o import PoseGraph
 from svc_ros.pipeline.agreeing.consistency import PlacedLoop, fit_to_loops
+from svc_ros.pipeline.agreeing.less_drift import least_that_does, with_less_drift
 
-_MOST_SQ_ERROR = 22.5  # of six degrees of freedom: what agrees is below, but for one in a thousand
-_SHARES = (0.1, 0.3, 1.0)  # of the drift that is possible: poses of a map are mostly better
-_AS_WELL, _MANY = 0.7, 4  # of the most loops that confirm each other; with fewer than so many nobody knows
-_LEAST_DRIFT = 1e-4  # of odometry, what configurations allow
 _LEAST_STEP_M = 1e-6  # a way of no length would be none
 _NO_WAY_M = 1e6  # where no edges join two keyframes nothing is known
 
@@ -62,12 +58,10 @@ class LoopJudge:
     def surest(self, loops: Sequence[JoiningLoop]) -> tuple[LoopJudge, list[int]]:
         """One that assumes the least drift with which the loops confirm each other about as well, and their largest
         core: the less drift, the better wrong loops are told from right ones, and the farther right ones reach."""
-        judges = [self._with_drift(share) for share in _SHARES]
-        cores = [judge.largest_core(loops) for judge in judges]
-        most = max(len(core) for core in cores)
-        enough = _AS_WELL * most if most >= _MANY else np.inf
-        found = list(zip(judges, cores, strict=True))
-        return next((each for each in found if len(each[1]) >= enough), found[-1])
+        judges = [self._judging_by(config) for config in with_less_drift(self._config)]
+        found = [(judge, judge.largest_core(loops)) for judge in judges]
+        sizes = [len(core) for _, core in found]
+        return least_that_does(found, sizes, max(sizes))
 
     def confirmation(self, this: JoiningLoop, others: Sequence[JoiningLoop]) -> Confirmation:
         """How the others, at least one, speak of a loop."""
@@ -75,9 +69,9 @@ class LoopJudge:
         ways = self._second.to_all(this.source), self._first.to_all(this.target)
         along = [self._placed(loop, ways[0][loop.source], ways[1][loop.target]) for loop in others]
         fits = fit_to_loops(placed, along, self._config)
-        contradicts = fits.sq_error > _MOST_SQ_ERROR
+        contradicts = fits.contradicts
         # What drift makes of it is a matter of belief, so that the bare difference has to be small, too.
-        unsure_m = np.maximum(fits.sigma_m, _difference(placed, along))
+        unsure_m = np.maximum(fits.sigma_m, fits.shift_m)
         stands = np.array([loop.T_odom_source[:3, 3] for loop in along])
         return Confirmation(
             contradicts, ~contradicts & (unsure_m <= self._config.loop_closure.keyframe_distance_m),
@@ -108,13 +102,9 @@ class LoopJudge:
             best = max(best, core, key=len)
         return sorted(best) if len(best) > 1 else []
 
-    def _with_drift(self, share: float) -> LoopJudge:
-        limits, judge = self._config.agreement, copy.copy(self)
-        less = dataclasses.replace(
-            limits, drift_ratio=max(share * limits.drift_ratio, _LEAST_DRIFT),
-            drift_deg_per_metre=max(share * limits.drift_deg_per_metre, _LEAST_DRIFT),
-        )  # fmt: skip
-        judge._config = dataclasses.replace(self._config, agreement=less)
+    def _judging_by(self, config: Config) -> LoopJudge:
+        judge = copy.copy(self)
+        judge._config = config
         return judge
 
     def _placed(self, loop: JoiningLoop, source_way: Array, target_way: Array) -> PlacedLoop:
@@ -148,12 +138,3 @@ class _Ways:
                 turned, before = turned + turned[before], before[before]
             self._known[keyframe] = np.stack([np.minimum(length, _NO_WAY_M), turned], axis=1)
         return self._known[keyframe]
-
-
-def _difference(this: PlacedLoop, others: Sequence[PlacedLoop]) -> Array:
-    """(L,) [m], how far from where this loop has its source the others have it."""
-    T_first_second = np.array(
-        [loop.T_odom_target @ loop.T_target_source @ se3.invert(loop.T_odom_source) for loop in others]
-    )
-    place = (this.T_odom_target @ this.T_target_source)[:3, 3]
-    return np.asarray(np.linalg.norm((T_first_second @ this.T_odom_source)[:, :3, 3] - place, axis=1))
