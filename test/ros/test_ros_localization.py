@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import sys
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -23,6 +23,7 @@ from rclpy.qos import QoSProfile
 from ros_bench import SECOND, Host, cloud, matrix
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2
+from stand_in_tf2 import tf2_module, transform_of
 from std_srvs.srv import Trigger
 from yardstick import PATIENCE_S
 
@@ -224,35 +225,18 @@ class Tree:
         self.newest_ns = 10**12  # of what others say
 
     def module(self) -> ModuleType:
-        tree = self
+        return tf2_module(self.look_up)
 
-        class Buffer:
-            def lookup_transform(self, target, source, time, _timeout):
-                stamp_ns = time.nanoseconds or tree.newest_ns
-                k = (stamp_ns // SECOND - 10) % 16
-                if (target, source) == ("base_link", "lidar"):
-                    return tree.message(T_BASE_LIDAR)
-                if (target, source) == ("odom", "lidar") and tree.has_odometry:
-                    return tree.message(T_ODOM_MAP @ WAY[k])
-                if (target, source) == ("map", "lidar") and tree.error is not None and stamp_ns <= tree.newest_ns:
-                    return tree.message(tree.error @ WAY[k], stamp_ns)
-                raise LookupError("not in the tree")
-
-            def clear(self): ...
-
-        class TransformListener:
-            def __init__(self, _buffer, _node): ...
-            def unregister(self): ...
-
-        module = ModuleType("tf2_ros")
-        module.Buffer, module.TransformListener = Buffer, TransformListener
-        return module
-
-    def message(self, T: np.ndarray, stamp_ns: int = 0):
-        turn = dict(zip("xyzw", Rotation.from_matrix(T[:3, :3]).as_quat().tolist(), strict=True))
-        shift = dict(zip("xyz", T[:3, 3].tolist(), strict=True))
-        transform = SimpleNamespace(translation=SimpleNamespace(**shift), rotation=SimpleNamespace(**turn))
-        return SimpleNamespace(transform=transform, header=header(stamp_ns, ""))
+    def look_up(self, target: str, source: str, wanted_ns: int):
+        stamp_ns = wanted_ns or self.newest_ns
+        k = (stamp_ns // SECOND - 10) % 16
+        if (target, source) == ("base_link", "lidar"):
+            return transform_of(T_BASE_LIDAR)
+        if (target, source) == ("odom", "lidar") and self.has_odometry:
+            return transform_of(T_ODOM_MAP @ WAY[k])
+        if (target, source) == ("map", "lidar") and self.error is not None and stamp_ns <= self.newest_ns:
+            return transform_of(self.error @ WAY[k], stamp_ns)
+        raise LookupError("not in the tree")
 
 
 class TfTopic:

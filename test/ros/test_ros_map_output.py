@@ -21,6 +21,7 @@ from rclpy.qos import QoSProfile
 from ros_bench import Host, cloud, matrix
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2
+from stand_in_tf2 import tf2_module, transform_of
 from std_srvs.srv import SetBool, Trigger
 from yardstick import PATIENCE_S
 
@@ -55,34 +56,16 @@ class Tree:
         self.has_odometry = True
 
     def module(self) -> ModuleType:
-        tree = self
+        return tf2_module(self.look_up)
 
-        class Buffer:
-            def lookup_transform(self, target, source, time, _timeout):
-                if (target, source) == ("map", "place"):
-                    return tree.message(T_MAP_PLACE)
-                if (target, source) == ("map", "rear_lidar") and time.nanoseconds >= SECOND:
-                    return tree.message(odometry(time.nanoseconds))  # by way of odometry, so not for all time
-                if (target, source) == ("odom", "lidar") and tree.has_odometry and time.nanoseconds >= SECOND:
-                    return tree.message(odometry(time.nanoseconds))
-                raise LookupError("not in the tree")
-
-            def clear(self): ...
-
-        class TransformListener:
-            def __init__(self, _buffer, _node): ...
-            def unregister(self): ...
-
-        module = ModuleType("tf2_ros")
-        module.Buffer, module.TransformListener = Buffer, TransformListener
-        return module
-
-    def message(self, T: np.ndarray):
-        names = "xyzw"
-        turn = dict(zip(names, Rotation.from_matrix(T[:3, :3]).as_quat().tolist(), strict=True))
-        shift = dict(zip(names, T[:3, 3].tolist(), strict=False))
-        transform = SimpleNamespace(translation=SimpleNamespace(**shift), rotation=SimpleNamespace(**turn))
-        return SimpleNamespace(transform=transform)
+    def look_up(self, target: str, source: str, stamp_ns: int):
+        if (target, source) == ("map", "place"):
+            return transform_of(T_MAP_PLACE)
+        if (target, source) == ("map", "rear_lidar") and stamp_ns >= SECOND:
+            return transform_of(odometry(stamp_ns))  # by way of odometry, so not for all time
+        if (target, source) == ("odom", "lidar") and self.has_odometry and stamp_ns >= SECOND:
+            return transform_of(odometry(stamp_ns))
+        raise LookupError("not in the tree")
 
 
 class TfTopic:
