@@ -163,10 +163,10 @@ def made_up_scan(config: Config, seed: int = 0) -> Scan:
     """A floor with bumps and a wall, large enough for the voxels of `config`; other seeds have it elsewhere."""
     v = config.preprocess.voxel_size_m
     rng = np.random.default_rng(seed)
-    across = rng.uniform(-1, 1, (6000, 3)) * 40 * v
-    across[:3000, 2] = -8 * v + np.sin(across[:3000, 0] / (5 * v)) * np.cos(across[:3000, 1] / (7 * v)) * 3 * v
-    across[3000:, 0] = (30 - 18 * seed) * v + np.sin(across[3000:, 1] / ((4 + 3 * seed) * v)) * 3 * v
-    return Scan(across)
+    floor, wall = across = rng.uniform(-1, 1, (2, 1250, 3)) * 40 * v
+    floor[:, 2] = -8 * v + np.sin(floor[:, 0] / (5 * v)) * np.cos(floor[:, 1] / (7 * v)) * 3 * v
+    wall[:, 0] = (30 - 18 * seed) * v + np.sin(wall[:, 1] / ((4 + 3 * seed) * v)) * 3 * v
+    return Scan(across.reshape(-1, 3))
 
 
 def _fingerprint(message: Any) -> bytes:
