@@ -77,6 +77,7 @@ class Dataset:
     """What `dataset.json` says. sensor_origin: (3,) [m] in every scan's frame; min_range_m, max_range_m [m].
 
     correspondences: folder of .npz files, one a pair by its file name, that take the place of FPFH; None: FPFH.
+    columns: of .bin and text files, as `read_scan` takes them.
     """
 
     root: Path
@@ -91,12 +92,13 @@ class Dataset:
     negatives: list[Pair] = field(default_factory=list)
     candidates: list[CandidatePair] = field(default_factory=list)
     correspondences: Path | None = None
+    columns: str = ""
 
     def read_scan(self, relative: str) -> Scan:
         """Read one scan by its path in the dataset, seen from the dataset's sensor origin."""
         from svc_ros.io.clouds.files import read_scan
 
-        return dataclasses.replace(read_scan(self.root / relative), sensor_origin=self.sensor_origin)
+        return dataclasses.replace(read_scan(self.root / relative, self.columns), sensor_origin=self.sensor_origin)
 
 
 def read_dataset(folder: str | Path) -> Dataset:
@@ -124,6 +126,7 @@ def read_dataset(folder: str | Path) -> Dataset:
         pairs=[_pair(item) for item in entry.children("pairs")],
         negatives=[Pair(item.text("source"), item.text("target")) for item in entry.children("negatives", [])],
         candidates=_read_candidates(root / "candidates.json"),
+        columns=entry.text("columns", ""),
     )
 
 

@@ -24,7 +24,7 @@ def test_directory(tmp_path: Path) -> None:
 
 
 def test_unknown_suffix_lists_the_known(tmp_path: Path) -> None:
-    assert_refused(write(tmp_path / "scan.xyz", "1 2 3"), "'.xyz'", *SUFFIXES, error=InputError)
+    assert_refused(write(tmp_path / "scan.obj", "v 1 2 3"), "'.obj'", *SUFFIXES, error=InputError)
 
 
 def test_not_a_regular_file(tmp_path: Path) -> None:
