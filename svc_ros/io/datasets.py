@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 
 from svc_ros.core.config import AUTO, PRESETS, unknown_name
-from svc_ros.core.errors import InputError
+from svc_ros.core.errors import ConfigError, InputError
 from svc_ros.core.scan import Array, Scan
 from svc_ros.core.se3 import check_pose, nearest_pose
+from svc_ros.io.clouds.layout import read_layout
 
 LABELS = ("correct", "wrong", "grey")
 _MISSING = object()
@@ -126,8 +127,17 @@ def read_dataset(folder: str | Path) -> Dataset:
         pairs=[_pair(item) for item in entry.children("pairs")],
         negatives=[Pair(item.text("source"), item.text("target")) for item in entry.children("negatives", [])],
         candidates=_read_candidates(root / "candidates.json"),
-        columns=entry.text("columns", ""),
+        columns=_columns(entry),
     )
+
+
+def _columns(entry: _Entry) -> str:
+    columns = entry.text("columns", "")
+    try:
+        read_layout(columns or "x y z")
+    except ConfigError as error:
+        raise InputError(f"{entry.place}: {error}") from None
+    return columns
 
 
 def _pair(entry: _Entry) -> Pair:

@@ -6,7 +6,6 @@ import io
 import math
 import tokenize
 import zipfile
-import zlib
 from typing import IO, Any
 
 import numpy as np
@@ -61,7 +60,9 @@ def points_from_npz(data: bytes) -> RawPoints:
             with archive.open(info) as member:
                 size = min(info.file_size, _DEFLATE_EXPANSION * info.compress_size)
                 return _columns_of(_read_array(member, size))
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError) as error:
+    except UnsupportedCloudError:
+        raise
+    except Exception as error:  # on broken bytes zipfile and zlib raise errors of many unrelated kinds
         raise UnsupportedCloudError(f"not a readable npz archive: {error}") from None
 
 

@@ -42,7 +42,8 @@ def guess_layout(data: bytes) -> Layout:
     UnsupportedCloudError where none or more than one layout fits, or the file is cut. A file of few points is read in
     KITTI's layout, if its size and numbers fit no other.
     """
-    fitting = [layout for layout in map(_fitting, [data] * 2, ("float32", "float64")) if layout]
+    with np.errstate(invalid="ignore"):  # bytes of something else hold NaN that signal
+        fitting = [layout for layout in (_fitting(data, "float32"), _fitting(data, "float64")) if layout]
     if not fitting and len(data) < _FEWEST_VALUES * KITTI.dtype.itemsize:
         fitting = _fitting_few(data)
     if len(fitting) != 1 and data and not len(data) % KITTI.point_bytes and _is_nothing(_table(data, KITTI)[:, :3]):

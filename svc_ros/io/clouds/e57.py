@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from svc_ros.core.se3 import apply, make_pose
 from svc_ros.io.clouds.columns import RawPoints
 
 _MAGIC = b"ASTM-E57"
+_HEADER = struct.Struct("<8s8xQ")  # signature, then the version, then the length of the file
 _CHUNK = 200_000  # points read at once, so that a header cannot ask for more memory than there is data
 _CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
 _SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
@@ -25,9 +27,7 @@ def points_from_e57(path: Path) -> RawPoints:
     Points that the scanner marks as invalid are dropped. UnsupportedCloudError for a broken file and one of none or
     several scans, MissingDependencyError without pye57.
     """
-    with path.open("rb") as stream:
-        if stream.read(len(_MAGIC)) != _MAGIC:
-            raise UnsupportedCloudError("expected an E57 header, found none")
+    _check_header(path)
     try:
         import pye57
     except ImportError:
@@ -42,8 +42,18 @@ def points_from_e57(path: Path) -> RawPoints:
     except UnsupportedCloudError:
         raise
     except Exception as error:  # on broken bytes pye57 raises errors of many unrelated kinds
-        told = " ".join(str(error).split())
+        told = " ".join(str(error).split()).partition(" ****")[0]
         raise UnsupportedCloudError(f"not a readable E57 file, or truncated: {told:.160}") from None
+
+
+def _check_header(path: Path) -> None:
+    with path.open("rb") as stream:
+        head = stream.read(_HEADER.size)
+    if len(head) < _HEADER.size or not head.startswith(_MAGIC):
+        raise UnsupportedCloudError("expected an E57 header, found none")
+    expected, found = _HEADER.unpack(head)[1], path.stat().st_size
+    if found != expected:
+        raise UnsupportedCloudError(f"truncated, or damaged: expected {expected} bytes, found {found}")
 
 
 def _read_scan(file: Any, num_bytes: int) -> RawPoints:

@@ -16,8 +16,9 @@ from svc_ros.io.clouds.layout import Layout
 
 _BLANKS = bytes.maketrans(b",;\t\"'\f", b"      ")
 _BLANKS_AND_POINTS = bytes.maketrans(b",;\t\"'\f", b".     ")  # where a comma is the decimal point
+_UNDERSCORES = bytes.maketrans(b" \t", b"__")
 _NO_TEXT = bytes(set(range(32)) - set(b"\t\n\r\f"))
-_COMMENTS = ("#", "//", "%")
+_COMMENTS = ("#", "//", "%", "sep=")  # the last one by Excel
 _COMMA_NUMBER = re.compile(r"[-+]?\d*(,\d+)?(e[-+]?\d+)?", re.IGNORECASE)
 _WHOLE_NUMBER = re.compile(rb"[-+]?\d+")
 _UNIT = re.compile(r"[\[(]\s*([^\])]*?)\s*[\])]")
@@ -29,11 +30,12 @@ _LOOKED_AT = 100  # lines that tell what a comma is
 
 class _Head(NamedTuple):
     """names: of the columns, empty where none are told; first: number of the line of the first point, from 0;
-    num_points: as told, None where that is not."""
+    num_points: as told, None where that is not; mark: the comma or semicolon between the names and the values."""
 
     names: list[str]
     first: int
     num_points: int | None
+    mark: bytes = b""
 
 
 def points_from_text(data: bytes, layout: Layout | None) -> RawPoints:
@@ -47,7 +49,7 @@ def points_from_text(data: bytes, layout: Layout | None) -> RawPoints:
     head = _read_head(lines, layout)
     body = lines[head.first :]
     table = _BLANKS_AND_POINTS if _are_commas_decimal(body) else _BLANKS
-    values = [line.decode("ascii", "replace") for line in b"\n".join(body).translate(table).split(b"\n")]
+    values = [line.decode("ascii", "replace") for line in _joined(body, head.mark).translate(table).split(b"\n")]
     kept = [k for k, line in enumerate(values) if line.strip() and not line.lstrip().startswith(_COMMENTS)]
     width = len(values[kept[0]].split())
     wanted = _wanted(head, layout, width)
@@ -74,7 +76,7 @@ def _lines(data: bytes) -> list[bytes]:
 
 def _read_head(lines: Sequence[bytes], layout: Layout | None) -> _Head:
     names: list[str] = []
-    count, told = None, False
+    count, told, mark = None, False, b""
     for number, raw in enumerate(lines):
         line = raw.decode("utf-8", "replace").strip()
         if not line:
@@ -87,12 +89,21 @@ def _read_head(lines: Sequence[bytes], layout: Layout | None) -> _Head:
         if count is None and len(values) == 1 and values[0].isdigit() and len(values[0]) < 20:
             count = int(values[0])
         elif told or any(map(_is_number, values[:3])):
-            return _Head(names, number, count)
+            return _Head(names, number, count, mark if mark in raw else b"")
         else:
             names, told = _names(line), True
+            mark = next((mark for mark in (b";", b",") if mark in raw), b"")
             if layout is None:
                 _check_names(names, line)
     raise UnsupportedCloudError("expected lines of numbers, found none")
+
+
+def _joined(body: Sequence[bytes], mark: bytes) -> bytes:
+    """All lines; where a mark is between the values, blanks within one do not make it two."""
+    joined = b"\n".join(body)
+    if not mark or (b" " not in joined and b"\t" not in joined):
+        return joined
+    return re.sub(rb"[ \t]*([\n%b])[ \t]*" % mark, rb"\1", joined.strip(b" \t")).translate(_UNDERSCORES)
 
 
 def _is_number(value: bytes) -> bool:
