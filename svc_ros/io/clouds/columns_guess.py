@@ -185,21 +185,25 @@ def _are_coordinates(xyz: Array) -> bool:
     points = points[points.any(axis=1)]
     if not _are_lengths(xyz) or len(points) < _FEWEST_VALUES // _MOST_COLUMNS:
         return False
-    low, high = np.quantile(points, [0.01, 0.99], axis=0)
     most = min(_FEWEST_DISTINCT, len(points) // 2)
     distinct = all(len(np.unique(column)) >= most for column in points.T)
-    return distinct and bool((high - low > _SMALLEST_SPAN).all())
+    return distinct and bool(_are_wide(points).all())
 
 
 def _are_no_coordinates(more: Array, xyz: Array) -> bool:
-    """Whether columns after x y z are no coordinates: not of both signs, and not three of fractions like a second
-    point, unless they are normals, or copies of x, y or z."""
+    """Whether columns after x y z are no coordinates: not wide and of both signs, and not three of fractions like a
+    second point, unless these are normals or colours from 0 to 1; copies of x, y and z are no further ones."""
     copied = (more[:, :, None] == xyz[:, None, :]).all(axis=0).any(axis=1)
     more = more[np.isfinite(more).all(axis=1)][:, ~copied]
     if more.shape[1] == 3 and float((np.abs(np.linalg.norm(more, axis=1) - 1) < _UNIT).mean()) > 1 - _BOTH_SIGNS:
         return True
-    fractions = (more % 1 != 0).mean(axis=0) > 0.5
-    return not _have_both_signs(more).any() and not (more.shape[1] == 3 and fractions.all())
+    second_point = more.shape[1] == 3 and ((more % 1 != 0).mean(axis=0) > 0.5).all() and more.max(initial=0.0) > 1
+    return not (_have_both_signs(more) & _are_wide(more)).any() and not second_point
+
+
+def _are_wide(columns: Array) -> NDArray[np.bool_]:
+    low, high = np.quantile(columns, [0.01, 0.99], axis=0) if len(columns) else np.zeros((2, columns.shape[1]))
+    return np.asarray(high - low > _SMALLEST_SPAN)
 
 
 def _have_both_signs(columns: Array) -> NDArray[np.bool_]:

@@ -34,6 +34,8 @@ def more_columns(points: np.ndarray, kind: str) -> np.ndarray:
         "of a driver": np.c_[rng.integers(0, 256, count), ring, times],
         "of KITTI": np.c_[rng.gamma(2, 0.1, count).clip(0, 1).round(2), np.sort(ring), times - 0.1],
         "of zeros": np.zeros((count, 3)),
+        "around its middle": np.c_[times - 0.05, ring, rng.random(count)],
+        "of colours": rng.random((count, 3)),
         "stamped": np.c_[rng.integers(0, 65536, count), ring, 1.6e9 + times],
     }[kind]
 
@@ -43,7 +45,7 @@ ORDERS = {
     "shuffled": lambda points: np.random.default_rng(3).permutation(len(points)),
     "by ring": lambda points: np.argsort(np.arange(len(points)) % 32, kind="stable"),
 }
-KINDS = ("of a driver", "of KITTI", "of zeros", "stamped")
+KINDS = ("of a driver", "of KITTI", "of zeros", "around its middle", "of colours", "stamped")
 
 
 @pytest.mark.parametrize("order", ORDERS)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +12,13 @@ from damaged_files import read_damaged
 from scan_file_checks import write
 from test_pcd_files import pcd, xyz
 
+from svc_ros.core.errors import UnsupportedCloudError
 from svc_ros.io.clouds.files import read_scan
 
 POINTS = np.round(np.random.default_rng(0).normal(size=(300, 3)) * [20, 10, 2], 3)
 FACES = ["element face 1", "property list uchar int vertex_indices"]
-TIMES_THE_FILE, TIMES_A_TEXT = 16, 32  # docs/formats.md
-PACKED = {".npz": 1032, ".laz": 1032, "compressed.pcd": 88}
+TIMES_THE_FILE, TIMES_A_TEXT = 16, 64  # docs/formats.md
+UNPACKED = {".npz": 1032, ".laz": 1032, "compressed.pcd": 88}  # times the file, that damage can make of it
 ONCE = 48 << 20  # bytes that a library may take besides
 
 
@@ -33,11 +36,11 @@ def sample(name: str, folder: Path) -> Path:
     path, numbers = folder / name, POINTS.astype("<f4")
     face = b"\x03" + np.arange(3, dtype="<i4").tobytes()
     contents = {
-        "bare.bin": np.c_[numbers, np.ones((300, 1), "<f4")].tobytes(),
-        "nuscenes.pcd.bin": np.c_[numbers, np.ones((300, 2), "<f4")].tobytes(),
+        "bare.bin": np.c_[numbers, np.ones((len(POINTS), 1), "<f4")].tobytes(),
+        "nuscenes.pcd.bin": np.c_[numbers, np.ones((len(POINTS), 2), "<f4")].tobytes(),
         "plain.xyz": text(" "),
         "named.csv": b"x,y,z\n" + text(","),
-        "counted.pts": b"300\n" + text(" "),
+        "counted.pts": b"%d\n" % len(POINTS) + text(" "),
         "ascii.pcd": pcd(xyz(POINTS), "ascii"),
         "binary.pcd": pcd(xyz(POINTS), "binary"),
         "compressed.pcd": pcd(xyz(POINTS), "binary_compressed"),
@@ -79,8 +82,31 @@ NAMES = [
 
 def most_bytes(path: Path) -> int:
     is_text = path.suffix in (".xyz", ".csv", ".pts") or path.name.startswith("ascii")
-    times = (TIMES_A_TEXT if is_text else TIMES_THE_FILE) + PACKED.get(path.suffix, PACKED.get(path.name, 0))
+    times = (TIMES_A_TEXT if is_text else TIMES_THE_FILE) * UNPACKED.get(path.suffix, UNPACKED.get(path.name, 1))
     return ONCE + times * 2 * path.stat().st_size  # damage may double a file
+
+
+SHORT_LINES = {
+    "short.txt": b"1 2 3\n" * 20_000,
+    "shorter.txt": b"1 2 3\n" + b"12\n" * 40_000,
+    "blank.txt": b"\n" * 120_000,
+    "short.pcd": pcd(xyz(np.empty((0, 3))), "ascii", WIDTH="20000", POINTS="20000") + b"1 2 3\n" * 20_000,
+    "lists.ply": b"ply\nformat binary_little_endian 1.0\nelement vertex 20000\nproperty char x\nproperty char y\n"
+    b"property char z\nproperty list uchar char seen\nend_header\n" + b"\1\2\3\0" * 20_000,
+}
+
+
+@pytest.mark.parametrize("name", SHORT_LINES)
+def test_lines_of_few_bytes_take_no_more_memory_than_told(tmp_path: Path, name: str) -> None:
+    path = write(tmp_path / name, SHORT_LINES[name])
+    tracemalloc.start()
+    try:
+        with contextlib.suppress(UnsupportedCloudError):
+            read_scan(path)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < TIMES_A_TEXT * path.stat().st_size + 1e6
 
 
 @pytest.mark.parametrize("name", NAMES)
