@@ -96,6 +96,8 @@ setup(
             "numpy<2; python_version < '3.11'",
         ],
         "las": ["laspy[lazrs]>=2.5"],
+        # On other Linux machines it has no wheels, and its sources need a C++ build.
+        "e57": ["pye57>=0.4.14; platform_system != 'Linux' or platform_machine == 'x86_64'"],
         "cluster": ["distributed>=2024.5"],
         "report": ["plotly>=5.20", "matplotlib>=3.8", "evo>=1.30"],
         # kiss-matcher has wheels for these only, and its sources need a C++ build.

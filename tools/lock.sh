@@ -21,7 +21,7 @@ print("\n".join(f"{name}=={version}" for name, version in sorted(rows.items())))
 '
 
 lock() { # lock PYTHON FLAVOUR
-  local python=$1 flavour=$2 minor extras=test,dev,las,report,compare,cluster limit=
+  local python=$1 flavour=$2 minor extras=test,dev,las,e57,report,compare,cluster limit=
   minor=$("$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
   local venv=$scratch/$minor$flavour out=$root/constraints/py$minor$flavour.txt
   if [ "$minor" != 3.10 ]; then extras=$extras,graph; fi # see tools/setup.sh

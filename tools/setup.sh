@@ -28,7 +28,7 @@ touch .venv/COLCON_IGNORE # colcon must not look for packages in here
 
 minor=$(.venv/bin/python -c 'import sys; print("%d.%d" % sys.version_info[:2])')
 pins=constraints/py$minor.txt
-extras=test,dev,las,report,compare,cluster
+extras=test,dev,las,e57,report,compare,cluster
 if [ "$minor" != 3.10 ]; then extras=$extras,graph; fi # its wheels for 3.10 need numpy 1, the pins are of numpy 2
 if [ "$mode" = apt ]; then
   pins=constraints/py$minor-apt-ros.txt

@@ -19,20 +19,21 @@ Judge = Callable[[Scan, Scan, Config], RegistrationResult]
 
 @dataclass(frozen=True)
 class OnePair:
-    """Two scan files, the configuration that is asked for, and where the answer goes."""
+    """Two scan files, their columns, the configuration that is asked for, and where the answer goes."""
 
     source: Path
     target: Path
     wanted: Wanted
     json_target: str | None
     fail_on_reject: bool
+    columns: str
 
     def answer(self, doing: str, judge: Judge) -> None:
         """Let `judge` decide and tell what it says. doing: shown while that takes its time."""
         with working(doing):
             from svc_ros.io.results import result_to_json
 
-            files = read_scans(self.source, self.target)
+            files = read_scans(self.source, self.target, self.columns)
             settings = self.wanted.settle(lambda: choose_from(files.scans))
             result = files.decide(settings.config, lambda s, t: judge(s, t, settings.config))
         names = {"source": str(self.source), "target": str(self.target), **settings.told()}

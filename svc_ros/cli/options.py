@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 DEFAULT_PRESET = AUTO
 
-SourceArgument = Annotated[Path, typer.Argument(metavar="SOURCE", help="Scan to move (.bin .pcd .ply .npy .npz .las).")]
+SourceArgument = Annotated[
+    Path, typer.Argument(metavar="SOURCE", help="Scan to move (.bin .pcd .ply .npy .npz .las .e57 .xyz .csv ...).")
+]
 TargetArgument = Annotated[Path, typer.Argument(metavar="TARGET", help="Scan that stays; the pose is in its frame.")]
 PresetOption = Annotated[
     str | None, typer.Option("--preset", metavar="NAME", help=f"{AUTO} (chosen from the scans), {', '.join(PRESETS)}.")
@@ -36,6 +38,10 @@ JsonOption = Annotated[
 ]
 FailOption = Annotated[
     bool, typer.Option("--fail-on-reject", help="Exit with 3 where the pose is not accepted.", show_default=False)
+]
+ColumnsOption = Annotated[
+    str,
+    typer.Option("--columns", metavar="NAMES", help="Of .bin and text files: x,y,z,intensity or float64,x,y,z ..."),
 ]
 LimitOption = Annotated[int | None, typer.Option("--limit", min=1, metavar="N", help="First N of each kind only.")]
 WorkersOption = Annotated[int, typer.Option("--workers", min=1, metavar="N", help="Processes that share the pairs.")]

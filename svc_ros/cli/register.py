@@ -5,6 +5,7 @@ from __future__ import annotations
 from svc_ros.cli.console import check_json_target
 from svc_ros.cli.one_pair import OnePair
 from svc_ros.cli.options import (
+    ColumnsOption,
     ConfigOption,
     FailOption,
     JsonOption,
@@ -25,13 +26,14 @@ def register(
     preset: PresetOption = None,
     method: MethodOption = None,
     config_file: ConfigOption = None,
+    columns: ColumnsOption = "",
     fail_on_reject: FailOption = False,
     json_target: JsonOption = None,
 ) -> None:
     """Register SOURCE to TARGET from any starting pose, and say whether the pose can be trusted."""
     wanted = read_wanted(preset, method, config_file)
     check_json_target(json_target)
-    OnePair(source, target, wanted, json_target, fail_on_reject).answer("registering", _register)
+    OnePair(source, target, wanted, json_target, fail_on_reject, columns).answer("registering", _register)
 
 
 def _register(source: Scan, target: Scan, config: Config) -> RegistrationResult:

@@ -33,11 +33,11 @@ class ScanFiles:
         return _prepare(*source, config), _prepare(*target, config)
 
 
-def read_scans(source: Path, target: Path) -> ScanFiles:
-    """Read both files, one that is both only once."""
+def read_scans(source: Path, target: Path, columns: str) -> ScanFiles:
+    """Read both files, one that is both only once. columns: as `read_scan` takes them."""
     from svc_ros.io.clouds.files import read_scan
 
-    scans = {path: read_scan(path) for path in (source, target)}
+    scans = {path: read_scan(path, columns) for path in (source, target)}
     return ScanFiles((source, target), (scans[source], scans[target]))
 
 

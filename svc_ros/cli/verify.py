@@ -10,6 +10,7 @@ import typer
 from svc_ros.cli.console import check_json_target
 from svc_ros.cli.one_pair import OnePair
 from svc_ros.cli.options import (
+    ColumnsOption,
     ConfigOption,
     FailOption,
     JsonOption,
@@ -40,6 +41,7 @@ def verify(
     preset: PresetOption = None,
     method: MethodOption = None,
     config_file: ConfigOption = None,
+    columns: ColumnsOption = "",
     fail_on_reject: FailOption = False,
     json_target: JsonOption = None,
 ) -> None:
@@ -55,4 +57,4 @@ def verify(
 
         return registration.verify(source_scan, target_scan, T, config)
 
-    OnePair(source, target, wanted, json_target, fail_on_reject).answer("verifying", judge)
+    OnePair(source, target, wanted, json_target, fail_on_reject, columns).answer("verifying", judge)

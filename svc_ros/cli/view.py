@@ -10,6 +10,7 @@ import typer
 
 from svc_ros.cli.console import note, working
 from svc_ros.cli.options import (
+    ColumnsOption,
     ConfigOption,
     PresetOption,
     SourceArgument,
@@ -33,6 +34,7 @@ def view(
     out: OutOption = Path("view.html"),
     preset: PresetOption = None,
     config_file: ConfigOption = None,
+    columns: ColumnsOption = "",
 ) -> None:
     """Show a decision in 3D: both scans as the judged pose puts them, red where a sensor looked through the other scan.
 
@@ -54,7 +56,7 @@ def view(
             wanted = read_wanted(preset or (None if config_file else told), result.method or None, config_file)
         except (InputError, ConfigError) as error:
             raise type(error)(f"{result_file}: {error}") from None
-        files = read_scans(source, target)
+        files = read_scans(source, target, columns)
         settings = wanted.settle(lambda: choose_from(files.scans))
         source_scan, target_scan = files.prepare(settings.config)
         try:

@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 
 from svc_ros.core.config import AUTO, PRESETS, unknown_name
-from svc_ros.core.errors import InputError
+from svc_ros.core.errors import ConfigError, InputError
 from svc_ros.core.scan import Array, Scan
 from svc_ros.core.se3 import check_pose, nearest_pose
+from svc_ros.io.clouds.layout import read_layout
 
 LABELS = ("correct", "wrong", "grey")
 _MISSING = object()
@@ -77,6 +78,7 @@ class Dataset:
     """What `dataset.json` says. sensor_origin: (3,) [m] in every scan's frame; min_range_m, max_range_m [m].
 
     correspondences: folder of .npz files, one a pair by its file name, that take the place of FPFH; None: FPFH.
+    columns: of .bin and text files, as `read_scan` takes them.
     """
 
     root: Path
@@ -91,12 +93,13 @@ class Dataset:
     negatives: list[Pair] = field(default_factory=list)
     candidates: list[CandidatePair] = field(default_factory=list)
     correspondences: Path | None = None
+    columns: str = ""
 
     def read_scan(self, relative: str) -> Scan:
         """Read one scan by its path in the dataset, seen from the dataset's sensor origin."""
         from svc_ros.io.clouds.files import read_scan
 
-        return dataclasses.replace(read_scan(self.root / relative), sensor_origin=self.sensor_origin)
+        return dataclasses.replace(read_scan(self.root / relative, self.columns), sensor_origin=self.sensor_origin)
 
 
 def read_dataset(folder: str | Path) -> Dataset:
@@ -124,7 +127,17 @@ def read_dataset(folder: str | Path) -> Dataset:
         pairs=[_pair(item) for item in entry.children("pairs")],
         negatives=[Pair(item.text("source"), item.text("target")) for item in entry.children("negatives", [])],
         candidates=_read_candidates(root / "candidates.json"),
+        columns=_columns(entry),
     )
+
+
+def _columns(entry: _Entry) -> str:
+    columns = entry.text("columns", "")
+    try:
+        read_layout(columns or "x y z")
+    except ConfigError as error:
+        raise InputError(f"{entry.place}: {error}") from None
+    return columns
 
 
 def _pair(entry: _Entry) -> Pair:

@@ -84,6 +84,8 @@ def test_rounded_poses_become_exact_rotations(tmp_path: Path) -> None:
         ({"max_range_m": True}, "max_range_m: expected a finite number, found True"),
         ({"sensor_origin": [0, 1]}, "sensor_origin: expected three numbers"),
         ({"sensor_origin": ["a", 0, 0]}, "sensor_origin: expected three numbers"),
+        ({"columns": ["x", "y", "z"]}, "columns: expected a text"),
+        ({"columns": "x y intensity"}, "columns: expected names in their order"),
         ({"success": {"rotation_deg": 5}}, "success.translation_m: missing"),
         ({"success": [5, 0.6]}, "success: expected an object"),
         ({"pairs": {}}, "pairs: expected a list"),
@@ -142,6 +144,13 @@ def test_scans_are_read_with_the_sensor_origin_of_the_set(tmp_path: Path) -> Non
     np.testing.assert_array_equal(dataset.read_scan("../outside.npy").sensor_origin, [0.0, 0.0, 1.5])
     with pytest.raises(InputError, match=r"absent\.npy"):
         dataset.read_scan("absent.npy")
+
+
+def test_bare_scans_are_read_by_the_columns_of_the_set(tmp_path: Path) -> None:
+    dataset = read_dataset(written(tmp_path, description(columns="float64 ring x y z")))
+    table = np.c_[np.full(4, 7.0), np.arange(12.0).reshape(4, 3)]
+    table.tofile(tmp_path / "a.bin")
+    np.testing.assert_array_equal(dataset.read_scan("a.bin").points, table[:, 1:])
 
 
 @pytest.mark.parametrize("name", NUM_PAIRS)

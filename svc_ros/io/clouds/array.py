@@ -1,44 +1,46 @@
-"""Scans in files without a header of their own (.bin) and in NumPy files."""
+"""Scans in files of bare numbers (.bin) and in NumPy files."""
 
 from __future__ import annotations
 
 import io
 import math
+import tokenize
 import zipfile
-import zlib
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from svc_ros.core.errors import UnsupportedCloudError
-from svc_ros.io.clouds.columns import RawPoints, field_index
+from svc_ros.io.clouds.columns import RawPoints, xyz_places
+from svc_ros.io.clouds.columns_guess import NAME_THEM, contradicts, guess_layout
+from svc_ros.io.clouds.layout import NUSCENES, Layout
 
-_FLOAT_BYTES = 4
 _MOST_COLUMNS = 16  # more columns than this is an array of something else, or transposed
 _DEFLATE_EXPANSION = 1032  # most bytes that one compressed byte can stand for
 
 
-def points_from_bin(data: bytes) -> RawPoints:
-    """Parse KITTI's layout: float32 x, y, z, intensity a point, little-endian, no header."""
-    return _points_from_floats(data, "x y z intensity")
+def points_from_bin(data: bytes, layout: Layout | None) -> RawPoints:
+    """Parse points without a header, little-endian; layout: their columns, None: those that the numbers tell.
 
-
-def points_from_nuscenes(data: bytes) -> RawPoints:
-    """Parse nuScenes' layout: float32 x, y, z, intensity, ring a point, little-endian, no header."""
-    return _points_from_floats(data, "x y z intensity ring")
-
-
-def _points_from_floats(data: bytes, columns: str) -> RawPoints:
-    """Columns (N,) of x, y, z [m] of points stored as these columns, named apart by blanks, in float32."""
-    num_columns = len(columns.split())
-    if len(data) % (_FLOAT_BYTES * num_columns):
+    UnsupportedCloudError where the bytes are no whole number of points, or the numbers do not tell the columns.
+    """
+    layout = layout or guess_layout(data)
+    if len(data) % layout.point_bytes or not data:
         raise UnsupportedCloudError(
-            f"truncated or not float32 {columns}: expected a multiple of {_FLOAT_BYTES * num_columns} bytes, "
-            f"found {len(data)}"
+            f"truncated, or other columns than {layout}: expected a multiple of {layout.point_bytes} bytes, found "
+            f"{len(data)}"
         )
-    values = np.frombuffer(data, "<f4").reshape(-1, num_columns)
-    return RawPoints(list(values[:, :3].T))
+    values = np.frombuffer(data, layout.dtype).reshape(-1, len(layout.names))
+    return RawPoints(list(values[:, layout.xyz].T))
+
+
+def points_from_nuscenes(data: bytes, layout: Layout | None) -> RawPoints:
+    """The same for nuScenes' files, whose columns their name tells; refused where the numbers tell others."""
+    other = contradicts(data, NUSCENES) if layout is None else None
+    if other:
+        raise UnsupportedCloudError(f"expected columns {NUSCENES} by the name, found {other}; {NAME_THEM}")
+    return points_from_bin(data, layout or NUSCENES)
 
 
 def points_from_npy(data: bytes) -> RawPoints:
@@ -58,7 +60,9 @@ def points_from_npz(data: bytes) -> RawPoints:
             with archive.open(info) as member:
                 size = min(info.file_size, _DEFLATE_EXPANSION * info.compress_size)
                 return _columns_of(_read_array(member, size))
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError) as error:
+    except UnsupportedCloudError:
+        raise
+    except Exception as error:  # on broken bytes zipfile and zlib raise errors of many unrelated kinds
         raise UnsupportedCloudError(f"not a readable npz archive: {error}") from None
 
 
@@ -70,7 +74,7 @@ def _read_array(stream: IO[bytes], num_bytes: int) -> NDArray[Any]:
             raise ValueError(f"expected format version 1 or 2, found {major}")
         read = np.lib.format.read_array_header_1_0 if major == 1 else np.lib.format.read_array_header_2_0
         shape, fortran_order, dtype = read(stream)
-    except (ValueError, EOFError, SyntaxError) as error:
+    except (ValueError, EOFError, SyntaxError, tokenize.TokenError) as error:
         raise UnsupportedCloudError(f"not a saved NumPy array: {error!s:.160}") from None
     if dtype.hasobject:
         raise UnsupportedCloudError("expected an array of numbers, found Python objects (pickles are never loaded)")
@@ -84,7 +88,7 @@ def _read_array(stream: IO[bytes], num_bytes: int) -> NDArray[Any]:
 def _columns_of(array: NDArray[Any]) -> RawPoints:
     if array.dtype.names is not None and array.ndim == 1:
         names = list(array.dtype.names)
-        columns = [array[names[field_index(names, name)]] for name in "xyz"]
+        columns = [array[names[place]] for place in xyz_places(names)]
     elif array.ndim == 2 and 3 <= array.shape[1] <= _MOST_COLUMNS:
         columns = list(array[:, :3].T)
     else:

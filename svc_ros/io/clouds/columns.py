@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -60,21 +61,40 @@ def field_index(names: Sequence[str], wanted: str) -> int:
     return places[0]
 
 
-def columns_from_text(lines: Sequence[bytes], num_values: int, wanted: Sequence[int]) -> list[Array]:
-    """Parse lines of `num_values` numbers each and return the wanted columns, (len(lines),) each."""
-    rows = [line.split() for line in lines]
-    for number, row in enumerate(rows):
-        if len(row) != num_values:
-            raise UnsupportedCloudError(f"expected {num_values} values a point, found {len(row)} at point {number}")
+def xyz_places(names: Sequence[str]) -> list[int]:
+    """Where x, y and z stand, or X, Y and Z where there are no small ones; UnsupportedCloudError as `field_index`."""
+    small = [name.lower() for name in names]
+    return [field_index(names if name in names else small, name) for name in "xyz"]
+
+
+def columns_from_text(
+    lines: Sequence[str],
+    num_values: int,
+    wanted: Sequence[int],
+    place: Callable[[int], str] = lambda number: f"point {number}",
+) -> list[Array]:
+    """Parse lines of `num_values` values each, apart by blanks, and return the wanted columns, (len(lines),) each.
+
+    place: what to call the line of a number. UnsupportedCloudError where a line has more or fewer values, or a wanted
+    one is no number.
+    """
+    for number, line in enumerate(lines):
+        found = len(line.split())
+        if found != num_values:
+            raise UnsupportedCloudError(f"expected {num_values} values a point, found {found} at {place(number)}")
+    if not lines:
+        return [np.empty(0) for _ in wanted]
     try:
-        return [np.array([float(row[i]) for row in rows], np.float64) for i in wanted]
+        return list(np.loadtxt(lines, usecols=wanted, comments=None, ndmin=2).T)
     except ValueError as error:
-        raise UnsupportedCloudError(f"expected numbers, found text: {error}") from None
+        told = re.search(r"string (.*) to \w+ at row (\d+)", str(error))
+        found_text = f"{told[1]:.40} at {place(int(told[2]))}" if told else f"{error!s:.80}"
+        raise UnsupportedCloudError(f"expected numbers, found text: {found_text}") from None
 
 
-def text_lines(data: bytes, first: int, count: int) -> list[bytes]:
+def text_lines(data: bytes, first: int, count: int) -> list[str]:
     """Return lines `first` to `first + count` of those that are not blank; UnsupportedCloudError if there are fewer."""
-    lines = [line for line in data.splitlines() if line.strip()][first:]
+    lines = [line for line in data.decode("ascii", "replace").split("\n") if line.strip()][first:]
     if len(lines) < count:
         raise UnsupportedCloudError(f"truncated: expected {count} lines of points, found {len(lines)}")
     return lines[:count]

@@ -38,7 +38,9 @@ def points_from_las(data: bytes) -> RawPoints:
             return RawPoints(list(_read_columns(reader)))
     except UnsupportedCloudError:
         raise
-    except Exception as error:  # on broken bytes laspy and its backends raise errors of many unrelated kinds
+    except BaseException as error:  # on broken bytes laspy and its backends raise errors of many unrelated kinds
+        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":  # of a backend in Rust
+            raise
         raise UnsupportedCloudError(f"not a readable LAS file, or truncated: {error!s:.160}") from None
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from svc_ros.core.errors import InputError, UnsupportedCloudError
-from svc_ros.io.clouds.columns import RawPoints, columns_from_text, field_index, strided_columns, text_lines
+from svc_ros.io.clouds.columns import RawPoints, columns_from_text, strided_columns, text_lines, xyz_places
 
 _DTYPES = {f"{kind}{size}": f"<{kind.lower()}{size}" for kind in "IU" for size in (1, 2, 4, 8)}
 _DTYPES |= {"F4": "<f4", "F8": "<f8"}
@@ -29,13 +29,13 @@ class _Header:
     encoding: str
 
     def __post_init__(self) -> None:
-        for name in "xyz":
-            if self.counts[field_index(self.names, name)] != 1:
-                raise UnsupportedCloudError(f"expected COUNT 1 for field '{name}', found more or fewer")
+        for place in self.xyz:
+            if self.counts[place] != 1:
+                raise UnsupportedCloudError(f"expected COUNT 1 for field '{self.names[place]}', found more or fewer")
 
     @property
     def xyz(self) -> list[int]:
-        return [self.names.index(name) for name in "xyz"]
+        return xyz_places(self.names)
 
     @property
     def field_sizes(self) -> list[int]:
@@ -95,11 +95,11 @@ def _header_from_entries(entries: dict[str, list[str]]) -> _Header:
             f"expected FIELDS, SIZE, TYPE and COUNT of equal length, found {len(names)}, {len(sizes)}, {len(kinds)} "
             f"and {len(counts)} entries"
         )
-    codes = [kind + size for kind, size in zip(kinds, sizes, strict=True)]
+    codes = [kind.upper() + size for kind, size in zip(kinds, sizes, strict=True)]
     for name, code in zip(names, codes, strict=True):
         if code not in _DTYPES:
             raise UnsupportedCloudError(f"field '{name}': expected a type of {', '.join(_DTYPES)}, found {code!r:.20}")
-    encoding = " ".join(entries["DATA"])
+    encoding = " ".join(entries["DATA"]).lower()
     if encoding not in _PARSERS:
         raise UnsupportedCloudError(f"expected DATA {', '.join(_PARSERS)}, found '{encoding:.40}'")
     dtypes = [np.dtype(_DTYPES[code]) for code in codes]
@@ -119,6 +119,8 @@ def _num_points(entries: dict[str, list[str]]) -> int:
         raise UnsupportedCloudError("expected one number in each of WIDTH, HEIGHT and POINTS, found more")
     width, height, points = (values[0] if values else None for values in size)
     product = None if width is None or height is None else width * height
+    if points is not None and product == 0:  # some writers tell the number of points only
+        return points
     if points is None and product is None:
         raise UnsupportedCloudError("expected POINTS, or WIDTH and HEIGHT, found neither")
     if points is not None and product is not None and points != product:

@@ -13,6 +13,8 @@ from svc_ros.core.scan import Array
 from svc_ros.core.se3 import invert, nearest_pose
 from svc_ros.io.datasets import Dataset, Pair, SuccessThresholds
 
+KITTI_COLUMNS = "x y z intensity"  # of .bin files; the name .pcd.bin tells its own
+
 
 @dataclass(frozen=True)
 class Criterion:
@@ -94,4 +96,5 @@ def suite_of_drives(
         success=success_of(criteria),
         pairs=list(pairs),
         criteria=criteria,
+        columns="" if any(pair.source.lower().endswith(".pcd.bin") for pair in pairs) else KITTI_COLUMNS,
     )

@@ -91,6 +91,14 @@ def test_npy_with_pickled_objects_is_never_loaded(tmp_path: Path) -> None:
     assert not (tmp_path / "sprung").exists()
 
 
+def test_npy_with_a_header_that_is_no_python(tmp_path: Path) -> None:
+    data = npy(POINTS)
+    start = data.index(b"{")
+    end = data.index(b"\n")
+    broken = data[:start] + b"{'descr': ('''".ljust(end - start) + data[end:]
+    assert_refused(write(tmp_path / "scan.npy", broken), "not a saved NumPy array")
+
+
 def test_npy_that_claims_too_many_points(tmp_path: Path) -> None:
     stream = io.BytesIO()
     header = {"descr": "<f8", "fortran_order": False, "shape": (10**12, 3)}

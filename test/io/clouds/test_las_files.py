@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scan_file_checks import POINTS, assert_refused, write
 
-from svc_ros.core.errors import MissingDependencyError
+from svc_ros.core.errors import MissingDependencyError, UnsupportedCloudError
 from svc_ros.io.clouds.files import read_scan
 
 
@@ -57,6 +57,22 @@ def test_laz_that_claims_too_many_chunks(tmp_path: Path) -> None:
     (table,) = struct.unpack_from("<q", data, start)
     data[table + 4 : table + 8] = b"\xf0\xff\xff\xff"
     assert_refused(write(tmp_path / "scan.laz", bytes(data)), "LAZ chunks")
+
+
+@pytest.mark.parametrize(("kind", "refused"), [("PanicException", True), ("KeyboardInterrupt", False)])
+def test_laz_on_whose_bytes_the_backend_panics(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, refused: bool
+) -> None:
+    laspy = pytest.importorskip("laspy")
+    path = las(tmp_path / "scan.laz", POINTS)
+    panic = type(kind, (BaseException,), {})
+
+    def end(*_: Any) -> None:
+        raise panic("out of bounds")
+
+    monkeypatch.setattr(laspy.LasReader, "read_points", end)
+    with pytest.raises(UnsupportedCloudError if refused else panic, match="out of bounds"):
+        read_scan(path)
 
 
 def test_las_without_laspy_says_how_to_install_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

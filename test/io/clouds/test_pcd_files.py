@@ -105,6 +105,29 @@ def test_pcd_with_foreign_line_ends_and_organised(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
+def test_pcd_that_tells_its_size_in_points_only(tmp_path: Path, encoding: str) -> None:
+    for width, height in (("0", "0"), ("0", "1"), ("4", "0")):
+        assert_read(write(tmp_path / "a.pcd", pcd(xyz(POINTS), encoding, WIDTH=width, HEIGHT=height)))
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_pcd_names_in_capitals_and_padding(tmp_path: Path, encoding: str) -> None:
+    padding = ("U1", np.ones((4, 3)))
+    columns = {"_": padding, **dict(zip("XYZ", xyz(POINTS).values(), strict=True)), "x_": padding}
+    assert_read(write(tmp_path / "a.pcd", pcd(columns, encoding, FIELDS="_ X Y Z _")))
+    columns = xyz(POINTS) | {"X": ("F4", np.zeros(4))}
+    assert_read(write(tmp_path / "b.pcd", pcd(columns, encoding)))
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_pcd_keywords_in_any_case_among_comments(tmp_path: Path, encoding: str) -> None:
+    data = pcd(xyz(POINTS), encoding, DATA="@")
+    head, _, body = data.partition(b"DATA @\n")
+    lines = b"# more\n".join(line + b"\n" for line in head.lower().splitlines())
+    assert_read(write(tmp_path / "a.pcd", lines + f"Data {encoding.upper()} \t\n".encode() + body))
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize("cut", [1, 5, 30])
 def test_pcd_truncated_data(tmp_path: Path, encoding: str, cut: int) -> None:
     points = np.random.default_rng(0).normal(size=(6, 3)).astype("<f4")

@@ -64,12 +64,47 @@ def test_ply_other_elements_are_skipped(tmp_path: Path) -> None:
     assert_read(write(tmp_path / "scan.ply", ply(data, "ascii", *FACES, *vertices(4))))
 
 
-def test_ply_lists_in_the_way_are_refused(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.ply", ply(bytes(100), "binary_little_endian", *FACES, *vertices(4)))
-    assert_refused(path, "'face'", "list 'vertex_indices'")
-    inside = vertices(4, "float", "property list uchar int seen")
-    for encoding in ("ascii", "binary_little_endian"):
-        assert_refused(write(tmp_path / "b.ply", ply(as_text(POINTS), encoding, *inside)), "'vertex'", "list 'seen'")
+ENCODINGS = {"binary_little_endian": "<", "binary_big_endian": ">"}
+SEEN = ["element vertex 4", "property float x", "property list uchar short seen", *vertices(4)[2:]]
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_ply_lists_are_skipped(tmp_path: Path, encoding: str) -> None:
+    order = ENCODINGS[encoding]
+    faces = struct.pack(f"{order}BiiiBiiiiB", 3, 0, 1, 2, 4, 0, 1, 2, 3, 0)
+    elements = ["element face 3", FACES[1], *CAMERAS, *vertices(4)]
+    data = faces + bytes(10) + POINTS.astype(order + "f4").tobytes()
+    assert_read(write(tmp_path / "a.ply", ply(data, encoding, *elements)))
+    rows = [
+        struct.pack(f"{order}fB{count}hff", x, count, *range(count), y, z) for count, (x, y, z) in enumerate(POINTS)
+    ]
+    assert_read(write(tmp_path / "b.ply", ply(b"".join(rows), encoding, *SEEN)))
+
+
+def test_ply_lists_are_skipped_in_ascii(tmp_path: Path) -> None:
+    rows = [f"{x} {count} {'7 ' * count}{y} {z}\n" for count, (x, y, z) in enumerate(POINTS)]
+    assert_read(write(tmp_path / "a.ply", ply("".join(rows).encode(), "ascii", *SEEN)))
+    rows[2] = "1 5 7 7 2 3\n"
+    assert_refused(write(tmp_path / "b.ply", ply("".join(rows).encode(), "ascii", *SEEN)), "in a line with lists")
+    rows[2] = "1 many 7 2 3\n"
+    assert_refused(write(tmp_path / "c.ply", ply("".join(rows).encode(), "ascii", *SEEN)), "'seen'", "'many'")
+
+
+@pytest.mark.parametrize("count", [4, 10**12])
+def test_ply_lists_cut_off(tmp_path: Path, count: int) -> None:
+    elements = [f"element face {count}", FACES[1], *vertices(4)]
+    data = struct.pack("<BiiiB", 3, 0, 1, 2, 200)
+    assert_refused(write(tmp_path / "a.ply", ply(data, "binary_little_endian", *elements)), "truncated", "'face'")
+
+
+def test_ply_coordinates_as_lists_are_refused(tmp_path: Path) -> None:
+    elements = ["element vertex 4", "property list uchar float x", "property float y", "property float z"]
+    assert_refused(write(tmp_path / "a.ply", ply(bytes(100), "binary_little_endian", *elements)), "found a list")
+
+
+def test_ply_names_in_capitals(tmp_path: Path) -> None:
+    elements = ["element vertex 4", *(f"property float {name}" for name in "XYZ")]
+    assert_read(write(tmp_path / "a.ply", ply(POINTS.astype("<f4").tobytes(), "binary_little_endian", *elements)))
 
 
 def test_ply_with_foreign_line_ends(tmp_path: Path) -> None:
@@ -84,6 +119,7 @@ BROKEN_PLY = {
     "unknown type": (vertices(4, "half"), "property half x"),
     "property first": (["property float x", *vertices(4)], "found 'property float x'"),
     "count of words": (["element vertex four"], "element vertex four"),
+    "list of lists": ([*vertices(4), "property list float int seen"], "property list float int seen"),
     "negative count": (["element vertex -4"], "element vertex -4"),
 }
 

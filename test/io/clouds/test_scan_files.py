@@ -24,7 +24,7 @@ def test_directory(tmp_path: Path) -> None:
 
 
 def test_unknown_suffix_lists_the_known(tmp_path: Path) -> None:
-    assert_refused(write(tmp_path / "scan.xyz", "1 2 3"), "'.xyz'", *SUFFIXES, error=InputError)
+    assert_refused(write(tmp_path / "scan.obj", "v 1 2 3"), "'.obj'", *SUFFIXES, error=InputError)
 
 
 def test_not_a_regular_file(tmp_path: Path) -> None:
@@ -39,6 +39,16 @@ def test_file_of_zero_bytes(tmp_path: Path, suffix: str) -> None:
 
 def test_suffix_in_capitals(tmp_path: Path) -> None:
     assert_read(write(tmp_path / "scan.BIN", np.c_[POINTS, np.ones(4)].astype("<f4").tobytes()))
+
+
+def test_files_as_people_have_them(shared_data: Path) -> None:
+    if not (shared_data / "inputs").is_dir():
+        pytest.skip(f"no inputs/ in {shared_data}")
+    truth = np.load(shared_data / "inputs" / "truth.npy")
+    paths = [path for path in (shared_data / "inputs").iterdir() if path.suffix in SUFFIXES]
+    assert len(paths) >= 13
+    for path in paths:
+        np.testing.assert_allclose(read_scan(path).points, truth, atol=1e-3, err_msg=path.name)
 
 
 @pytest.mark.parametrize("name", ["hdl32_easy", "hdl64_kitti_a", "os1_64_seosan", "rgbd_redkitchen"])
