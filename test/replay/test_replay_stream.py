@@ -119,7 +119,7 @@ def test_indices_where_stamps_come_twice_and_time_jumps_back(loop_closure: bool)
 
 
 def test_in_a_map_of_runs_that_share_stamps_the_target_is_the_keyframe_that_judged() -> None:
-    """Simulated runs all begin at one time. A cloud that is none is passed over, and so long that the sensor is lost."""
+    """Simulated runs all begin at one time. Clouds that are none for so long are a loss."""
     known = [Scan(mini_data.scan_room(T, seed=20), START_NS, "lidar") for T in (WAY[0], FAR)]
     config = with_values(CONFIG, {"localization.lost_after_s": 1.0, "localization.max_neighbours": 1})
     localiser = Localiser(MapInMemory(known, [WAY[0], FAR], config), config)
