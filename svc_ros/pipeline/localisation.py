@@ -184,7 +184,7 @@ class Localiser:
     def _is_contradicted(self, predicted: Placed) -> bool:
         """Whether the scan shows another place than odometry leads to; what hardly overlaps the map shows none."""
         is_elsewhere = predicted.result.verdict is Verdict.REJECTED and len(self._waiting) > 0
-        return is_elsewhere or predicted.is_denied or predicted.is_moved
+        return is_elsewhere or predicted.is_denied or (predicted.is_moved and shows_enough(predicted, self._config))
 
     def _is_overdue(self, stamp_ns: int) -> bool:
         assert self._confirmed is not None

@@ -207,6 +207,20 @@ def test_a_told_pose_alone_is_no_place_where_places_may_look_alike(room: MapInMe
     assert not localiser.is_told_wrong
 
 
+def test_who_sees_one_wall_only_is_not_lost_for_that_nor_is_a_true_pose_wrong() -> None:
+    """Along the wall refinement slides half a metre, and turns."""
+    config = with_values(CONFIG, {"localization.max_similar": 0, "preprocess.min_points": 30})
+    localiser, T = Localiser(known_scans(config), config), sensor_pose(5.0, -1.0, 0.0)
+    localiser.add(scan(0, T), T, T)
+    points = scan_room(T, seed=77)
+    sideways, up = points[:, 1] / points[:, 0], points[:, 2] / np.hypot(points[:, 0], points[:, 1])
+    narrow = points[(points[:, 0] > 0.0) & (np.abs(sideways) < 0.84) & (np.abs(up) < 0.27)]
+    told, own = localiser.add(Scan(narrow, 101 * S, "lidar"), T, T)
+    assert own.result.verdict is Verdict.REJECTED
+    assert (told.result.verdict, told.result.reason) == (Verdict.UNDECIDED, Reason.INSUFFICIENT_EVIDENCE)
+    assert localiser.state is LocalisationState.LOCALISED
+
+
 def test_a_told_pose_that_leads_out_of_the_map_is_not_wrong_for_that(room: MapInMemory) -> None:
     localiser = Localiser(room, with_values(CONFIG, {"localization.max_similar": 0}))
     told, own = localiser.add(elsewhere(0), odometry(0), se3.make_pose(np.eye(3), (30.0, 10.0, 0.0)) @ WAY[0])
