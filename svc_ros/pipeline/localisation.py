@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from enum import Enum
 
 import numpy as np
@@ -48,7 +47,7 @@ class Localiser:
             if getattr(config, name) != getattr(keyframes.config, name):
                 raise ConfigError(f"{name}: expected the values that the map was made with, found others")
         self._map, self._config = keyframes, config
-        self._order, self._steps, self._waiting = StampOrder(), OwnSteps(config), WaitingPlaces(config)
+        self._order, self._steps, self._waiting = StampOrder(), OwnSteps(config), WaitingPlaces(config, self._judge)
         self.reset()
 
     def reset(self) -> None:
@@ -106,7 +105,14 @@ class Localiser:
             told = None if T_map_told is None else se3.nearest_pose(se3.check_pose(T_map_told, "T_map_told"))
             return self._decide(Keyframe(prepare(scan, self._config), odom, self._config), told)
 
-        return decide_in_order(scan, self._order, self._config, self.reset, decide)
+        decisions = decide_in_order(scan, self._order, self._config, self.reset, decide)
+        self.pass_over(scan.stamp_ns)
+        return decisions
+
+    def pass_over(self, stamp_ns: int) -> None:
+        """Of a scan that nobody could look at: a place that none has confirmed for too long is lost all the same."""
+        if self._T_map_odom is not None and self._is_overdue(stamp_ns):
+            self._lose()
 
     def _decide(self, this: Keyframe, T_map_told: Array | None) -> list[StreamDecision]:
         this.T_odom_scan, is_joined = self._steps.follow(this, this.T_odom_scan)
@@ -133,14 +139,14 @@ class Localiser:
         assert self._T_map_odom is not None
         assert this.T_odom_scan is not None
         predicted = self._T_map_odom @ this.T_odom_scan
-        placed = self._judge(this)(predicted)
+        placed = self._judge(this, predicted)
         if placed.result.accepted and placed.probability >= self._config.localization.min_probability:
             return self._confirm(this, placed), "motion"
         if placed.result.verdict is Verdict.REJECTED:
             found, origin = self._search(this, [*guesses, predicted])
             if found.result.accepted:
                 return found, origin
-        if self._is_contradicted(placed) or self._is_overdue(this):
+        if self._is_contradicted(placed) or self._is_overdue(this.scan.stamp_ns):
             self._lose()
         if placed.result.accepted:
             why = f"probability {placed.probability:.2f} only where odometry leads to"
@@ -150,23 +156,22 @@ class Localiser:
 
     def _search(self, this: Keyframe, guesses: list[Array]) -> tuple[Placed, str]:
         """A place anywhere in the map, where this scan is sure of it or agrees with those before."""
-        assert this.T_odom_scan is not None
-        self._waiting.ask(this.T_odom_scan, self._judge(this))
+        self._waiting.ask(this)
         found = find_in_map(this, self._map, guesses, self._config)
         accepted = [placed for placed in found if placed.result.accepted]
-        self._waiting.add(accepted, this.T_odom_scan)
+        self._waiting.add(accepted, this)
         settled = self._waiting.settled(accepted)
         if settled is not None:
-            is_alone = settled.probability >= self._config.localization.sure_probability
-            return self._confirm(this, settled), "place" if is_alone else "run"
+            placed, is_alone = settled
+            return self._confirm(this, placed), "place" if is_alone else "run"
         if accepted:
             result = leave_undecided(accepted[0].result, Reason.AMBIGUOUS, self._waiting.describe())
             return dataclasses.replace(accepted[0], result=result), "place"
         return found[0] if found else nowhere("no keyframe of the map to register to", self._config), "place"
 
-    def _judge(self, this: Keyframe) -> Callable[[Array], Placed]:
+    def _judge(self, this: Keyframe, T_map_scan: Array) -> Placed:
         num_points = self._config.scan_matching.verify_points
-        return lambda T: judge_among_neighbours(this, T, self._map, self._config, num_points)
+        return judge_among_neighbours(this, T_map_scan, self._map, self._config, num_points)
 
     def _confirm(self, this: Keyframe, placed: Placed) -> Placed:
         assert this.T_odom_scan is not None
@@ -179,11 +184,11 @@ class Localiser:
     def _is_contradicted(self, predicted: Placed) -> bool:
         """Whether the scan shows another place than odometry leads to; what hardly overlaps the map shows none."""
         is_elsewhere = predicted.result.verdict is Verdict.REJECTED and len(self._waiting) > 0
-        return is_elsewhere or predicted.is_denied or predicted.is_moved
+        return is_elsewhere or predicted.is_denied or (predicted.is_moved and shows_enough(predicted, self._config))
 
-    def _is_overdue(self, this: Keyframe) -> bool:
+    def _is_overdue(self, stamp_ns: int) -> bool:
         assert self._confirmed is not None
-        return this.scan.stamp_ns - self._confirmed[0] > 1e9 * self._config.localization.lost_after_s
+        return stamp_ns - self._confirmed[0] > 1e9 * self._config.localization.lost_after_s
 
     def _lose(self) -> None:
         self._T_map_odom, self._state = None, LocalisationState.LOST
@@ -192,7 +197,7 @@ class Localiser:
         """The verdict on a pose that others tell, as it was told: refinement does not excuse what it had to move."""
         if own.result.accepted and is_same_place(T_map_told, own.T_map_scan, self._config):
             return own
-        told, wanted = self._judge(this)(T_map_told), self._config.localization.sure_probability
+        told, wanted = self._judge(this, T_map_told), self._config.localization.sure_probability
         if own.result.accepted:
             return _refuted(told, T_map_told, own.T_map_scan)
         if self._T_map_odom is not None and not (told.result.accepted and told.probability >= wanted):

@@ -12,6 +12,7 @@ import numpy as np
 
 from svc_ros.core import se3
 from svc_ros.core.config import Config
+from svc_ros.core.decision import measure_margins
 from svc_ros.core.registration import verify
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Array, IndexArray, PreparedScan
@@ -134,9 +135,9 @@ def is_same_place(T_map_scan: Array, other: Array, config: Config, drift_m: floa
 
 
 def shows_enough(look: Placed, config: Config) -> bool:
-    """Whether so much of the scan was seen that a verdict against its pose tells something."""
+    """Whether so much of the scan was seen, and not one wall alone, that a verdict against its pose tells something."""
     evidence = look.result.evidence
-    return evidence is not None and evidence.oriented_overlap_ratio >= config.decision.min_oriented_overlap
+    return evidence is not None and measure_margins(evidence, config.decision).overlap > 0.0
 
 
 def _spread_out(T_map_scan: Array, keyframes: KeyframeMap, config: Config) -> list[int]:

@@ -1,18 +1,21 @@
 """Where in a map a scan may have been taken, without a guess; and whether later scans agree.
 
 One scan cannot tell two rooms apart that look alike, a run of them can: what one scan alone is not sure of waits here
-until others, some metres on, have said the same along odometry and sight lines have denied it nowhere.
+until others, some metres on, say the same along odometry. Every place is judged by the same scans, also by those that
+came before it was found: of two that look alike, the one that was found first has no advantage.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from svc_ros.core import se3
 from svc_ros.core.config import Config
+from svc_ros.core.decision import measure_margins
 from svc_ros.core.registration import verify
 from svc_ros.core.scan import Array
 from svc_ros.pipeline.decide import register_pair
@@ -22,6 +25,7 @@ from svc_ros.pipeline.neighbours import KeyframeMap, Placed, is_same_place, judg
 _LOOKED_THROUGH = 8  # times the wanted keyframes, for those far from each other
 DRIFT = 0.02  # odometry's error grows by so much for each metre
 _MOST = 8  # places that wait at once
+_CHANCE = 2000.0  # a search looks at so many poses: by what it denies, a scan has to be so sure to settle one alone
 
 
 def find_in_map(this: Keyframe, keyframes: KeyframeMap, guesses: Iterable[Array], config: Config) -> list[Placed]:
@@ -78,21 +82,32 @@ def _registered(this: Keyframe, keyframes: KeyframeMap, index: int, config: Conf
 
 @dataclass(eq=False)
 class _Place:
-    """Where the sensor may be. T_map_odom: (4, 4); stood_at: (K, 3) [m] in the odometry frame, of scans that said so;
-    num_silent: scans since then that neither confirmed nor denied it."""
+    """Where the sensor may be. T_map_odom: (4, 4); latest: what the last scan that said so made of it; agreeing,
+    denying: numbers of the kept scans that say so and that deny it; num_silent: scans since one said so."""
 
     T_map_odom: Array
     latest: Placed
-    stood_at: list[Array]
+    agreeing: set[int] = field(default_factory=set)
+    denying: set[int] = field(default_factory=set)
     num_silent: int = 0
+
+    @property
+    def balance(self) -> int:
+        """How many more of the kept scans agree than deny."""
+        return len(self.agreeing) - len(self.denying)
 
 
 class WaitingPlaces:
-    """Places that scans have said they may have been taken at, until one of them is sure."""
+    """Places that scans have said they may have been taken at, until one of them is sure; for one thread at a time.
 
-    def __init__(self, config: Config) -> None:
-        self._config = config
+    judge: what a scan makes of a pose (4, 4) of its own in the map. Scans that come in have their `T_odom_scan`.
+    """
+
+    def __init__(self, config: Config, judge: Callable[[Keyframe, Array], Placed]) -> None:
+        self._config, self._judge = config, judge
         self._places: list[_Place] = []
+        self._scans: dict[int, Keyframe] = {}  # the last ones that stood apart, by number
+        self._spot = 0  # the number of the one that stood where the last scan did
 
     def __len__(self) -> int:
         return len(self._places)
@@ -100,61 +115,108 @@ class WaitingPlaces:
     def clear(self) -> None:
         """Forget all of them."""
         self._places.clear()
+        self._scans.clear()
 
-    def ask(self, T_odom_scan: Array, judge: Callable[[Array], Placed]) -> None:
+    def ask(self, this: Keyframe) -> None:
         """Let the next scan judge where each place says that it was taken; what it denies is forgotten."""
+        self._keep(this)
         left = []
         for place in self._places:
-            placed = judge(place.T_map_odom @ T_odom_scan)
+            placed = self._judge(this, place.T_map_odom @ _odom(this))
             if placed.is_denied:
                 continue
             place.num_silent += 1
             if self._counts(placed):
-                self._support(place, placed, T_odom_scan)
-            if place.num_silent <= len(place.stood_at):
+                self._support(place, placed, this)
+            if place.num_silent <= max(len(place.agreeing), 1):
                 left.append(place)
         self._places = left
 
-    def add(self, found: Iterable[Placed], T_odom_scan: Array) -> None:
+    def add(self, found: Iterable[Placed], this: Keyframe) -> None:
         """Take poses that a search for the same scan has found; those that are not probable enough say nothing."""
         for placed in filter(self._counts, found):
-            same = [p for p in self._places if self._is_same(p, placed, T_odom_scan)]
+            same = [place for place in self._places if self._is_same(place, placed, this)]
             if same:
-                self._support(same[0], placed, T_odom_scan)
+                self._support(same[0], placed, this)
             else:
-                T_map_odom = placed.T_map_scan @ se3.invert(T_odom_scan)
-                self._places = [_Place(T_map_odom, placed, [T_odom_scan[:3, 3]]), *self._places[: _MOST - 1]]
+                self._places.append(self._new(placed, this))
+        self._places = sorted(self._places, key=lambda place: -place.balance)[:_MOST]
 
-    def settled(self, found: Iterable[Placed]) -> Placed | None:
-        """The pose of the last scan in the only place that is left, if that scan or enough of them are sure of it.
+    def settled(self, found: Iterable[Placed]) -> tuple[Placed, bool] | None:
+        """The pose of the last scan in a place that it, alone, or enough scans are sure of; and whether it is alone.
 
         found: what the search for that scan has found.
         """
-        if len(self._places) != 1:
+        if not self._places:
             return None
-        (place,) = self._places
+        first, *others = self._places
         limits = self._config.localization
-        is_found = any(is_same_place(place.latest.T_map_scan, p.T_map_scan, self._config) for p in found)
-        is_sure = is_found and place.latest.probability >= limits.sure_probability
-        is_agreed = place.num_silent == 0 and len(place.stood_at) >= limits.agreeing_scans
-        return place.latest if is_sure or is_agreed else None
+        # The others were judged by the same scans: one that most of these do not know is no rival.
+        near = first.balance - limits.agreeing_scans + 1
+        rivals = [place for place in others if place.num_silent == 0 or place.balance > near]
+        if first.num_silent == 0 and first.balance >= limits.agreeing_scans and not rivals:
+            return first.latest, False
+        is_found = any(is_same_place(first.latest.T_map_scan, p.T_map_scan, self._config) for p in found)
+        is_alone = is_found and not others and not first.denying and self._is_sure(first.latest)
+        return (first.latest, True) if is_alone else None
 
     def describe(self) -> str:
         """How far they are, for a person."""
-        scans = max((len(place.stood_at) for place in self._places), default=0)
+        scans = max((place.balance for place in self._places), default=0)
         wanted = self._config.localization.agreeing_scans
         return f"{scans} of {wanted} scans that have to agree, {len(self._places)} places are possible"
+
+    def _keep(self, this: Keyframe) -> None:
+        """Keep a scan that stood apart from those that are kept; one that did not speaks for the one beside it."""
+        ways = {k: float(np.linalg.norm((_odom(this) - _odom(kept))[:3, 3])) for k, kept in self._scans.items()}
+        nearest = min(ways, key=lambda k: ways[k], default=None)
+        if nearest is not None and ways[nearest] < self._config.localization.agreeing_distance_m:
+            self._spot = nearest
+            return
+        self._spot = max(self._scans, default=0) + 1
+        self._scans[self._spot] = this
+        if len(self._scans) >= 2 * self._config.localization.agreeing_scans:
+            oldest = min(self._scans)
+            del self._scans[oldest]
+            for place in self._places:
+                place.agreeing.discard(oldest)
+                place.denying.discard(oldest)
+
+    def _new(self, placed: Placed, this: Keyframe) -> _Place:
+        """A place that a scan has found, as the scans before see it."""
+        place = _Place(placed.T_map_scan @ se3.invert(_odom(this)), placed, {self._spot})
+        for number, earlier in self._scans.items():
+            if number == self._spot:
+                continue
+            judged = self._judge(earlier, place.T_map_odom @ _odom(earlier))
+            if judged.is_denied:
+                place.denying.add(number)
+            elif self._counts(judged):
+                place.agreeing.add(number)
+        return place
 
     def _counts(self, placed: Placed) -> bool:
         return placed.result.accepted and placed.probability >= self._config.localization.min_probability
 
-    def _support(self, place: _Place, placed: Placed, T_odom_scan: Array) -> None:
-        place.T_map_odom = placed.T_map_scan @ se3.invert(T_odom_scan)
-        place.latest, place.num_silent = placed, 0
-        apart = np.linalg.norm(np.array(place.stood_at) - T_odom_scan[:3, 3], axis=1)
-        if float(apart.min()) >= self._config.localization.agreeing_distance_m:
-            place.stood_at.append(T_odom_scan[:3, 3])
+    def _is_sure(self, placed: Placed) -> bool:
+        evidence, limits = placed.result.evidence, self._config.localization
+        if evidence is None or placed.probability < limits.sure_probability:
+            return False
+        return measure_margins(evidence, self._config.decision).seen >= math.log(_CHANCE)
 
-    def _is_same(self, place: _Place, placed: Placed, T_odom_scan: Array) -> bool:
-        way_m = float(np.linalg.norm(place.stood_at[-1] - T_odom_scan[:3, 3]))
-        return is_same_place(place.T_map_odom @ T_odom_scan, placed.T_map_scan, self._config, DRIFT * way_m)
+    def _support(self, place: _Place, placed: Placed, this: Keyframe) -> None:
+        place.T_map_odom = placed.T_map_scan @ se3.invert(_odom(this))
+        place.latest, place.num_silent = placed, 0
+        place.agreeing.add(self._spot)
+        place.denying.discard(self._spot)
+
+    def _is_same(self, place: _Place, placed: Placed, this: Keyframe) -> bool:
+        T_map_before = place.latest.T_map_scan
+        T_map_this = place.T_map_odom @ _odom(this)
+        way_m = float(np.linalg.norm((T_map_this - T_map_before)[:3, 3]))
+        return is_same_place(T_map_this, placed.T_map_scan, self._config, DRIFT * way_m)
+
+
+def _odom(scan: Keyframe) -> Array:
+    assert scan.T_odom_scan is not None
+    return scan.T_odom_scan

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from svc_ros.core.config import Config
 from svc_ros.core.errors import TransformUnavailableError
 from svc_ros.core.scan import Array, Scan
@@ -12,6 +14,7 @@ from svc_ros.io.bags import Bag
 from svc_ros.io.transforms import TransformTree
 from svc_ros.pipeline.localisation import Localiser
 from svc_ros.pipeline.loop_closure import LoopCloser
+from svc_ros.pipeline.neighbours import KeyframeMap
 from svc_ros.pipeline.scan_matching import ScanMatcher
 from svc_ros.pipeline.stream import StampOrder, StreamDecision, refuse_scan
 from svc_ros.replay.clouds import BagPart, RecordedCloud, ReplayedPair, ReplayStep, Stopwatch, read_clouds
@@ -78,16 +81,26 @@ def loop_steps(clouds: Iterable[TrackedCloud], closer: LoopCloser) -> Generator[
 
 def localisation_steps(clouds: Iterable[TrackedCloud], localiser: Localiser) -> Generator[ReplayStep]:
     """Find every cloud in a map: one decision each, whose target index is that of a keyframe of the map."""
-    number = {int(stamp): k for k, stamp in reversed(list(enumerate(localiser.keyframes.stamps_ns)))}
+    keyframes = localiser.keyframes
     for tracked in clouds:
         watch, cloud = Stopwatch(), tracked.cloud
-        found = localiser.add(cloud.scan, tracked.T_odom_scan) if cloud.scan is not None else []
-        decisions = [
-            ReplayedPair.of(d, cloud.index, number[d.target_stamp_ns] if d.origin else cloud.index)
-            for d in found or [_refused(cloud, localiser.config)]
-        ]
+        if cloud.scan is None:
+            localiser.pass_over(cloud.stamp_ns)
+            found = [_refused(cloud, localiser.config)]
+        else:
+            found = localiser.add(cloud.scan, tracked.T_odom_scan)
+        decisions = [ReplayedPair.of(d, cloud.index, _keyframe_number(keyframes, d, cloud)) for d in found]
         times = {"read": cloud.read_ms, "odometry": tracked.odometry_ms, "decide": watch.ms()}
         yield ReplayStep(cloud, decisions, decisions[-1].T_odom_source, times)
+
+
+def _keyframe_number(keyframes: KeyframeMap, decision: StreamDecision, cloud: RecordedCloud) -> int:
+    """Which keyframe of the map is the target: stamps alone do not tell, where runs of one time were joined."""
+    if decision.T_odom_target is None:
+        return cloud.index
+    of_stamp = np.flatnonzero(keyframes.stamps_ns == decision.target_stamp_ns)
+    is_there = (keyframes.poses[of_stamp] == decision.T_odom_target).all((1, 2))
+    return int(of_stamp[np.argmax(is_there)])
 
 
 def odometry_by_matching(config: Config) -> Odometry:

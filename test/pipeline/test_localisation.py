@@ -110,6 +110,17 @@ def test_of_two_rooms_that_are_alike_none_is_chosen() -> None:
         assert "2 places" in decision.result.detail
 
 
+def test_one_scan_of_the_rooms_mirror_image_is_no_place(room: MapInMemory) -> None:
+    """Walls, floor and ceiling are the same: only furniture tells, and the probability is 0.99."""
+    points = scan_room(sensor_pose(-0.49, 1.39, -96.4), seed=751) * (1.0, -1.0, 1.0)
+    localiser = Localiser(room, with_values(CONFIG, {"localization.max_similar": 1}))
+    (decision,) = localiser.add(Scan(points, 100 * S, "lidar"), odometry(0))
+    assert decision.result.probability is not None
+    assert decision.result.probability > 0.98
+    assert (decision.result.verdict, decision.result.reason) == (Verdict.UNDECIDED, Reason.AMBIGUOUS)
+    assert localiser.state is LocalisationState.SEARCHING
+
+
 @pytest.mark.parametrize("with_odometry", [True, False])
 def test_a_kidnapped_sensor_is_found_again(room: MapInMemory, with_odometry: bool) -> None:
     """Odometry feels nothing of the way; or there is none."""
@@ -144,6 +155,24 @@ def test_what_nothing_confirms_is_lost_after_a_while() -> None:
     assert states == [LocalisationState.LOCALISED, LocalisationState.LOST]
 
 
+def test_who_sees_nothing_any_more_is_lost_as_well(room: MapInMemory) -> None:
+    """A covered sensor: no scan can be used, and none says that its place is wrong."""
+    localiser = Localiser(room, with_values(CONFIG, {"localization.lost_after_s": 1.5}))
+    localiser.add(scan(0), odometry(0))
+    blind = np.ones((5, 3))
+    for second, state in ((101, LocalisationState.LOCALISED), (102, LocalisationState.LOST)):
+        (decision,) = localiser.add(Scan(blind, second * S, "lidar"), odometry(0))
+        assert decision.result.reason is Reason.TOO_FEW_POINTS
+        assert localiser.state is state
+    assert localiser.T_map_odom is None
+    localiser = Localiser(room, with_values(CONFIG, {"localization.lost_after_s": 1.5}))
+    localiser.add(scan(0), odometry(0))
+    localiser.pass_over(101 * S)
+    assert localiser.state is LocalisationState.LOCALISED
+    localiser.pass_over(102 * S)
+    assert localiser.state is LocalisationState.LOST
+
+
 TURN = se3.make_pose(Rotation.from_euler("z", 20.0, degrees=True).as_matrix(), np.zeros(3))
 ERRORS = [se3.make_pose(np.eye(3), shift) for shift in ((2.0, 0, 0), (0, -2.0, 0), (5.0, 0, 0), (0, 10.0, 0))]
 
@@ -176,6 +205,20 @@ def test_a_told_pose_alone_is_no_place_where_places_may_look_alike(room: MapInMe
         assert decision.result.verdict is Verdict.UNDECIDED
         assert decision.T_odom_source is None
     assert not localiser.is_told_wrong
+
+
+def test_who_sees_one_wall_only_is_not_lost_for_that_nor_is_a_true_pose_wrong() -> None:
+    """Along the wall refinement slides half a metre, and turns."""
+    config = with_values(CONFIG, {"localization.max_similar": 0, "preprocess.min_points": 30})
+    localiser, T = Localiser(known_scans(config), config), sensor_pose(5.0, -1.0, 0.0)
+    localiser.add(scan(0, T), T, T)
+    points = scan_room(T, seed=77)
+    sideways, up = points[:, 1] / points[:, 0], points[:, 2] / np.hypot(points[:, 0], points[:, 1])
+    narrow = points[(points[:, 0] > 0.0) & (np.abs(sideways) < 0.84) & (np.abs(up) < 0.27)]
+    told, own = localiser.add(Scan(narrow, 101 * S, "lidar"), T, T)
+    assert own.result.verdict is Verdict.REJECTED
+    assert (told.result.verdict, told.result.reason) == (Verdict.UNDECIDED, Reason.INSUFFICIENT_EVIDENCE)
+    assert localiser.state is LocalisationState.LOCALISED
 
 
 def test_a_told_pose_that_leads_out_of_the_map_is_not_wrong_for_that(room: MapInMemory) -> None:

@@ -10,22 +10,26 @@ from typing import Any
 import mini_data
 import numpy as np
 import pytest
+from map_in_memory import MapInMemory
 from scipy.spatial.transform import Rotation
 from yardstick import Stopwatch
 
 from svc_ros.core import se3
 from svc_ros.core.config import preset, with_values
+from svc_ros.core.errors import InputError
 from svc_ros.core.result import Reason
 from svc_ros.core.scan import Scan
 from svc_ros.io.bags import Bag, CloudBagWriter
 from svc_ros.io.g2o import read_g2o, write_g2o
 from svc_ros.io.trajectories import read_tum
+from svc_ros.pipeline.localisation import LocalisationState, Localiser
 from svc_ros.pipeline.loop_closure import LoopCloser
 from svc_ros.pipeline.pose_graph import build_pose_graph
 from svc_ros.pipeline.scan_matching import ScanMatcher
 from svc_ros.replay.clouds import RecordedCloud
 from svc_ros.replay.stream import (
     TrackedCloud,
+    localisation_steps,
     loop_steps,
     matching_steps,
     odometry_by_matching,
@@ -37,6 +41,7 @@ from svc_ros.replay.stream import (
 CONFIG = with_values(preset("lidar_indoor"), {"loop_closure.min_gap_s": 0.35, "loop_closure.keyframe_distance_m": 0.2})
 START_NS, STEP_NS = 1_700_000_000_123_456_789, 100_000_000
 WAY = [mini_data.sensor_pose(x, 0.0, 0.0) for x in (0.0, 0.3, 0.6, 0.9, 0.6, 0.3, 0.0)]
+FAR = mini_data.sensor_pose(3.0, -1.0, 90.0)
 MOUNTING = se3.make_pose(Rotation.from_euler("z", 20, degrees=True).as_matrix(), (0.3, 0.0, 1.2))
 
 
@@ -111,6 +116,29 @@ def test_indices_where_stamps_come_twice_and_time_jumps_back(loop_closure: bool)
         assert order[d.target_index] * 10 * STEP_NS + START_NS == d.target_stamp_ns
         assert d.target_index != 2
         assert (d.target_index >= 8) == (d.source_index >= 8)
+
+
+def test_in_a_map_of_runs_that_share_stamps_the_target_is_the_keyframe_that_judged() -> None:
+    """Simulated runs all begin at one time. Clouds that are none for so long are a loss."""
+    known = [Scan(mini_data.scan_room(T, seed=20), START_NS, "lidar") for T in (WAY[0], FAR)]
+    config = with_values(CONFIG, {"localization.lost_after_s": 1.0, "localization.max_neighbours": 1})
+    localiser = Localiser(MapInMemory(known, [WAY[0], FAR], config), config)
+    near = FAR @ mini_data.sensor_pose(0.1, 0.1, 3.0)
+    near[2, 3] = FAR[2, 3]
+    scan = Scan(mini_data.scan_room(near, seed=21), START_NS, "lidar")
+    clouds = [
+        RecordedCloud(0, START_NS, "lidar", START_NS, None, scan=scan),
+        RecordedCloud(1, START_NS + 20 * STEP_NS, "lidar", START_NS, None, error=InputError("half of it is missing")),
+    ]
+    steps = localisation_steps((TrackedCloud(cloud, near, 0.0) for cloud in clouds), localiser)
+    (found,) = next(steps).decisions
+    assert found.result.accepted
+    assert (found.source_index, found.target_index) == (0, 1)
+    np.testing.assert_array_equal(found.T_odom_target, FAR)
+    assert localiser.state is LocalisationState.LOCALISED
+    (none,) = next(steps).decisions
+    assert (none.result.reason, none.target_index) == (Reason.UNSUPPORTED_CLOUD, 1)
+    assert localiser.state is LocalisationState.LOST
 
 
 @pytest.mark.parametrize("source", ["transforms", "matching", "none"])

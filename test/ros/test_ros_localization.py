@@ -282,12 +282,17 @@ def test_odometry_in_the_map_is_on_tf_while_the_place_is_known_and_the_pose_is_t
     assert is_silent(host)
     robot.see(seen_from(2, 1), WAY[2])
     assert not is_silent(host)
+    tree.has_odometry = False
+    (decision,) = robot.see(seen_from(3, 2), WAY[3])  # 17 s later: nothing has confirmed its place since
+    assert (decision["verdict"], decision["reason"]) == ("rejected", "tf_unavailable")
+    assert host.status()["worker"]["state"] == "lost"
+    assert is_silent(host)
+    tree.has_odometry = True
+    robot.see(seen_from(4, 2), WAY[4])
+    assert not is_silent(host)
     assert host.call(Trigger, "/svc_registration/reset", Trigger.Request()).success
     assert host.status()["worker"]["state"] == "searching"
     assert is_silent(host)
-    tree.has_odometry = False
-    (decision,) = robot.see(seen_from(3, 1), WAY[3])
-    assert (decision["verdict"], decision["reason"]) == ("rejected", "tf_unavailable")
 
 
 def test_who_is_lost_on_tf_is_told_so_and_once_where_he_is(host, tree, room):

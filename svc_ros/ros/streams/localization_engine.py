@@ -118,8 +118,10 @@ class LocalizationEngine:
             T_base_cloud = self._sources.base(label.frame_id, label.stamp_ns)
             T_odom_cloud = self._odometry_of(scan)
         except Exception as error:
+            localiser.pass_over(label.stamp_ns)
             refused = refuse_scan(label.stamp_ns, label.frame_id, error, config)
-            return [self._answer(refused, job, start)]
+            place = MapPlace(T_map_odom=localiser.T_map_odom)
+            return [dataclasses.replace(self._answer(refused, job, start), place=place)]
         told = self._told(scan, T_odom_cloud)
         found = localiser.add(scan, T_odom_cloud, told)
         self._last_ns = label.stamp_ns
