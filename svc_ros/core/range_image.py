@@ -7,7 +7,7 @@ without a model of incidence.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -28,6 +28,8 @@ _BEAMS = 1.05  # cells are a little higher than beams are apart, so that none fa
 # pattern. (At the upper and the lower border of the view nothing is seen: of 16 beams that is an eighth.)
 _ENOUGH_DENSE, _ENOUGH_SEEN = 0.9, 0.6
 _LARGER = 1.5
+_BEHIND_RATIO, _BEHIND_M = 1.5, 1.0  # a point so much behind another one in its direction was seen through it
+_FEWEST_CELLS = 50  # with several points; fewer say nothing about all
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +40,8 @@ class RangeImage:
     tables: rows by the rise of a direction, turns by the quadrant's share, number of cells and first cell of every
     row: rows have fewer cells the nearer they are to a pole, so that all are about as wide; size_deg: height and width
     of a cell; dense_ratio, seen_ratio: of the cells with a point, those with four held ones among the nine, and those
-    that are not -1.
+    that are not -1; crossed_ratio: of the smallest cells that were tried, with points of several ranges, those with one
+    far behind another; 0 where too few cells tell, and of an image whose cells were kept.
     """
 
     near: NDArray[np.float32]
@@ -47,6 +50,7 @@ class RangeImage:
     size_deg: Size
     dense_ratio: float
     seen_ratio: float
+    crossed_ratio: float = 0.0
 
 
 def build_range_image(points: Array, origin: Array, min_range_m: float, beam_spacing_deg: float) -> RangeImage:
@@ -58,12 +62,13 @@ def build_range_image(points: Array, origin: Array, min_range_m: float, beam_spa
     """
     height = min(max(_BEAMS * beam_spacing_deg, _SMALLEST_DEG), _LARGEST_DEG)
     image = _build(points, origin, min_range_m, (height, _SMALLEST_DEG))
+    crossed_ratio = image.crossed_ratio  # larger cells hold several beams on grazing ground
     while image.dense_ratio < _ENOUGH_DENSE and min(image.size_deg) < _LARGEST_DEG:
         larger = (size for size in _larger(image.size_deg) if size != image.size_deg)
         image = max((_build(points, origin, min_range_m, size) for size in larger), key=lambda tried: tried.dense_ratio)
     while image.seen_ratio < _ENOUGH_SEEN and image.size_deg[0] < _LARGEST_DEG:
         image = _build(points, origin, min_range_m, _larger(image.size_deg)[1])
-    return image
+    return replace(image, crossed_ratio=crossed_ratio)
 
 
 def restore_range_image(
@@ -110,7 +115,17 @@ def _build(points: Array, origin: Array, min_range_m: float, size_deg: Size) -> 
         near, far, *tables[2:], _LEAST_HELD, wide_near, wide_far
     )  # fmt: skip
     shares = num_dense / max(num_held, 1), num_seen / max(num_held, 1)
-    return RangeImage(wide_near, wide_far, tables, size_deg, *shares)
+    return RangeImage(wide_near, wide_far, tables, size_deg, *shares, _crossed_ratio(near, far))
+
+
+def _crossed_ratio(near: NDArray[np.float32], far: NDArray[np.float32]) -> float:
+    """Of the cells (C,) with points of several ranges [m], those with one far behind another."""
+    several = far > near
+    num_several = int(several.sum())
+    if num_several < _FEWEST_CELLS:
+        return 0.0
+    near, far = near[several], far[several]
+    return float(((far > _BEHIND_RATIO * near) & (far - near > _BEHIND_M)).sum() / num_several)
 
 
 @lru_cache(maxsize=32)
