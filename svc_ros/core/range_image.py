@@ -29,6 +29,8 @@ _BEAMS = 1.05  # cells are a little higher than beams are apart, so that none fa
 _ENOUGH_DENSE, _ENOUGH_SEEN = 0.9, 0.6
 _LARGER = 1.5
 _BEHIND_RATIO, _BEHIND_M = 1.5, 1.0  # a point so much behind another one in its direction was seen through it
+_CROSSED_DEG = 0.5
+_ENOUGH_POINTS = 500_000  # to tell that surfaces lie behind each other
 _FEWEST_CELLS = 50  # with several points; fewer say nothing about all
 
 
@@ -40,8 +42,8 @@ class RangeImage:
     tables: rows by the rise of a direction, turns by the quadrant's share, number of cells and first cell of every
     row: rows have fewer cells the nearer they are to a pole, so that all are about as wide; size_deg: height and width
     of a cell; dense_ratio, seen_ratio: of the cells with a point, those with four held ones among the nine, and those
-    that are not -1; crossed_ratio: of the smallest cells that were tried, with points of several ranges, those with one
-    far behind another; 0 where too few cells tell, and of an image whose cells were kept.
+    that are not -1; crossed_ratio: of the directions (cells of half a degree, whatever the size of these) with several
+    ranges, those with one far behind another; 0 where too few tell, and of an image whose cells were kept.
     """
 
     near: NDArray[np.float32]
@@ -62,13 +64,12 @@ def build_range_image(points: Array, origin: Array, min_range_m: float, beam_spa
     """
     height = min(max(_BEAMS * beam_spacing_deg, _SMALLEST_DEG), _LARGEST_DEG)
     image = _build(points, origin, min_range_m, (height, _SMALLEST_DEG))
-    crossed_ratio = image.crossed_ratio  # larger cells hold several beams on grazing ground
     while image.dense_ratio < _ENOUGH_DENSE and min(image.size_deg) < _LARGEST_DEG:
         larger = (size for size in _larger(image.size_deg) if size != image.size_deg)
         image = max((_build(points, origin, min_range_m, size) for size in larger), key=lambda tried: tried.dense_ratio)
     while image.seen_ratio < _ENOUGH_SEEN and image.size_deg[0] < _LARGEST_DEG:
         image = _build(points, origin, min_range_m, _larger(image.size_deg)[1])
-    return replace(image, crossed_ratio=crossed_ratio)
+    return replace(image, crossed_ratio=_crossed_ratio(points, origin, min_range_m))
 
 
 def restore_range_image(
@@ -105,9 +106,7 @@ def _larger(size_deg: Size) -> tuple[Size, Size]:
 
 def _build(points: Array, origin: Array, min_range_m: float, size_deg: Size) -> RangeImage:
     tables = _tables(size_deg)
-    num = int(tables[2].sum())
-    near, far = np.full(num, np.inf, np.float32), np.zeros(num, np.float32)
-    range_image_kernels.fill(points, origin, min_range_m, tables, near, far)
+    near, far = _fill(points, origin, min_range_m, tables)
     rows, cells = _used_rows(tables, far)
     tables, near, far = _cut(size_deg, rows), near[cells], far[cells]
     wide_near, wide_far = np.empty_like(near), np.empty_like(far)
@@ -115,17 +114,32 @@ def _build(points: Array, origin: Array, min_range_m: float, size_deg: Size) -> 
         near, far, *tables[2:], _LEAST_HELD, wide_near, wide_far
     )  # fmt: skip
     shares = num_dense / max(num_held, 1), num_seen / max(num_held, 1)
-    return RangeImage(wide_near, wide_far, tables, size_deg, *shares, _crossed_ratio(near, far))
+    return RangeImage(wide_near, wide_far, tables, size_deg, *shares)
 
 
-def _crossed_ratio(near: NDArray[np.float32], far: NDArray[np.float32]) -> float:
-    """Of the cells (C,) with points of several ranges [m], those with one far behind another."""
+def _crossed_ratio(points: Array, origin: Array, min_range_m: float) -> float:
+    """From where a scan was taken surfaces lie behind each other at edges only; from elsewhere they do all over.
+
+    Larger cells than these hold several beams on grazing ground; smaller ones hold several points at edges only.
+    """
+    some = np.ascontiguousarray(points[:: 1 + len(points) // _ENOUGH_POINTS])
+    near, far = _fill(some, origin, min_range_m, _tables((_CROSSED_DEG, _CROSSED_DEG)))
     several = far > near
     num_several = int(several.sum())
     if num_several < _FEWEST_CELLS:
         return 0.0
     near, far = near[several], far[several]
     return float(((far > _BEHIND_RATIO * near) & (far - near > _BEHIND_M)).sum() / num_several)
+
+
+def _fill(
+    points: Array, origin: Array, min_range_m: float, tables: Tables
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Least and greatest range of each cell of an image of all directions; inf and 0 where no point is."""
+    num = int(tables[2].sum())
+    near, far = np.full(num, np.inf, np.float32), np.zeros(num, np.float32)
+    range_image_kernels.fill(points, origin, min_range_m, tables, near, far)
+    return near, far
 
 
 @lru_cache(maxsize=32)

@@ -11,7 +11,7 @@ import numpy as np
 from svc_ros.core.config import PreprocessConfig
 from svc_ros.core.scan import Array, PreparedScan
 
-MOST_CROSSED = 0.10  # scans seen from their own sensor have up to 0.075
+_MOST_CROSSED = 0.12  # scans seen from their own sensor have up to 0.09
 _FARTHEST_M = 1000.0  # no sensor of the presets sees a wider place
 _NEARLY_ALL = 0.98
 _MOST = 0.5  # share of the points that lies out of range, where that is what few are left for
@@ -30,7 +30,8 @@ def explain_few_points(points: Array, sensor_origin: Array, config: PreprocessCo
         )
     if len(points) < config.min_points:
         return "the cloud has too few points itself: a part of a sweep, or thinned too much"
-    return explain_ranges(points, sensor_origin, config) or (
+    by_place = explain_ranges(points, sensor_origin, config)
+    return by_place or explain_shape(points, sensor_origin, config.voxel_size_m) or (
         f"what is in range fills few voxels: copies of few points, or preprocess.voxel_size_m "
         f"({config.voxel_size_m:g} m) is too large for so small a place"
     )
@@ -78,7 +79,7 @@ def _explain_far(seen: Array, reach: float, config: PreprocessConfig) -> str:
 
 def explain_crossed(crossed_ratio: float) -> str:
     """What it means that in this share of directions, in [0, 1], surfaces lie behind each other (see `RangeImage`)."""
-    if crossed_ratio <= MOST_CROSSED:
+    if crossed_ratio <= _MOST_CROSSED:
         return ""
     return (
         "not seen from where the sensor is taken to be: a cloud in a map's frame (name the sensor's by --sensor-frame "
@@ -95,11 +96,13 @@ def explain_scan(scan: PreparedScan) -> str:
 
 
 def explain_shape(points: Array, sensor_origin: Array, voxel_size_m: float) -> str:
-    """Whether all points of a thinned scan, at least one (K, 3) [m], lie on one plane or on one line."""
+    """Whether all points of a scan, at least one (K, 3) [m], lie on one plane or on one line, and not in one place."""
     middle = points.mean(0)
     off = points - middle
     sq_spread, axes = np.linalg.eigh(off.T @ off / len(off))
     thin = _THIN * voxel_size_m
+    if sq_spread[2] < thin**2:
+        return ""
     if sq_spread[1] < thin**2:
         return "all points lie on one line, which fixes no pose: scans with more structure"
     if sq_spread[0] >= thin**2:
