@@ -17,6 +17,7 @@ from svc_ros.core.scans.preprocess import crop_range, thin_on_voxel_grid
 _MANY = 0.5  # share of dropped points above which somebody should look
 _HERE = np.zeros(3)  # points of a view are relative to the sensor
 _FARTHEST_M = 1000.0  # no sensor of these presets reaches farther
+_LONGEST_SWEEP_S = 0.5
 _CUT = 0.2  # share of points outside the preset's ranges above which its values do not fit
 
 
@@ -90,7 +91,11 @@ def _check_times(notes: CloudNotes) -> Finding:
     span = float(np.median(spans))
     if span == 0.0:
         return Finding(name, "warn", f"field {fields}, the same for all points", "the driver fills in no times")
-    return Finding(name, "ok", f"field {fields}, a sweep lasts {span:.3f} s")
+    found = f"field {fields}, a sweep lasts {span:.3f} s"
+    if span <= _LONGEST_SWEEP_S:
+        return Finding(name, "ok", found)
+    advice = "longer than sensors take: several sweeps in a cloud, or a share of the sweep (0 to 1) instead of seconds?"
+    return Finding(name, "warn", found, advice)
 
 
 def _check_free(notes: CloudNotes) -> list[Finding]:
