@@ -64,7 +64,18 @@ def print_summary(title: str, summary: Mapping[str, Any], out: Path) -> None:
     console = summary_console(None)
     console.print(Text(title, "bold"), soft_wrap=True)
     console.print(key_value_table("", _rows(summary)))
+    if why := _why_nothing(summary):
+        console.print(Text(why), soft_wrap=True)
     console.print(Text(_line(summary, out)), soft_wrap=True)
+
+
+def _why_nothing(summary: Mapping[str, Any]) -> str:
+    """The detail of the most frequent reason, where not one pose was accepted; of several bags each tells its own."""
+    details = summary.get("details")
+    if not details or summary["verdicts"].get("accepted"):
+        return ""
+    most = max(details, key=lambda reason: summary["reasons"][reason])
+    return f"nothing was accepted; for example {most}: {details[most]}"
 
 
 def _rows(summary: Mapping[str, Any]) -> dict[str, Any]:

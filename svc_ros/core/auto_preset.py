@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from svc_ros.core.config import AUTO, Config, preset
+from svc_ros.core.parallel import in_parts
 from svc_ros.core.scan import Array, Scan
 
 __all__ = ["AUTO", "Choice", "Outlook", "choose_by_outlooks", "choose_preset", "look_out"]
@@ -21,6 +22,7 @@ CAMERA_REACH_M = 12.0
 CAMERA_CONCENTRATION = 0.75  # a cone of 120 deg; half a turn has 0.64
 _REACHED_SHARE = 0.98  # the farthest fiftieth is seen through doors and panes, or is noise
 NEAREST_M = 0.3  # nearer points are of the carrier, or mark that there was no return
+_PART = 2**18  # points
 _SHOWN = {"voxel_size_m": "preprocess", "min_range_m": "preprocess", "max_range_m": "preprocess",
           "tolerance_m": "sight_view"}  # fmt: skip
 
@@ -75,13 +77,20 @@ def choose_preset(scans: Sequence[Scan]) -> Choice:
 
 def look_out(points: Array, sensor_origin: Array) -> Outlook | None:
     """Measure a scan's points (N, 3) [m], seen from sensor_origin (3,) [m]; None without points beyond 0.3 m."""
-    seen = points - sensor_origin
-    ranges = np.sqrt(np.einsum("ij,ij->i", seen, seen))
-    far = ranges > NEAREST_M
-    if not far.any():
+    ranges, direction = np.empty(len(points)), np.zeros(3)
+    num = 0
+    for part in in_parts(len(points), _PART):  # what is computed of a part stays in the cache, and small
+        seen = points[part] - sensor_origin
+        ranges_of_part = np.sqrt(np.einsum("ij,ij->i", seen, seen))
+        far = ranges_of_part > NEAREST_M
+        seen, ranges_of_part = seen[far], ranges_of_part[far]
+        ranges[num : num + len(seen)] = ranges_of_part
+        direction += (seen / ranges_of_part[:, None]).sum(0)
+        num += len(seen)
+    if num == 0:
         return None
-    directions = seen[far] / ranges[far, None]
-    return Outlook(float(np.quantile(ranges[far], _REACHED_SHARE)), float(np.linalg.norm(directions.mean(0))))
+    reach = float(np.quantile(ranges[:num], _REACHED_SHARE))
+    return Outlook(reach, float(np.linalg.norm(direction / num)))
 
 
 def choose_by_outlooks(outlooks: Sequence[Outlook]) -> Choice:

@@ -11,6 +11,7 @@ from svc_ros.core.parallel import on_all_processors
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import NO_HYPOTHESES, Array, Correspondences, HypothesisSet, PreparedScan
 from svc_ros.core.scans.levelling import Level, find_level
+from svc_ros.core.scans.oddities import explain_pair
 from svc_ros.core.search import icp
 from svc_ros.core.search.hypotheses import Generator, generate_from_each
 from svc_ros.core.search.prescore import thinned_scan
@@ -112,7 +113,7 @@ class Pair:
             reason, detail = Reason.NO_HYPOTHESIS, "no consistent set of correspondences"
         return RegistrationResult(
             Verdict.REJECTED, reason, self.config.method, probability=0.0, counts=self.counts,
-            time_ms=self.watch.times(), detail=detail,
+            time_ms=self.watch.times(), detail=self._with_oddities(detail),
         )  # fmt: skip
 
     def answer(
@@ -126,8 +127,14 @@ class Pair:
         accepted = decided.verdict is Verdict.ACCEPTED
         contact = self.contact(T) if contact is None else contact
         covariance = contact.covariance(self.config.covariance) if accepted else None
+        detail = decided.detail if accepted else self._with_oddities(decided.detail)
         weak = find_weak_directions(contact, self.config.decision.weak_constraint)
         return RegistrationResult(
             decided.verdict, decided.reason, self.config.method, T if accepted else None, T,
-            covariance, decided.probability, evidence, self.counts, self.watch.times(), decided.detail, weak,
+            covariance, decided.probability, evidence, self.counts, self.watch.times(), detail, weak,
         )  # fmt: skip
+
+    def _with_oddities(self, detail: str) -> str:
+        """Why a pair was not accepted, with what is odd about its scans: it may be the cause."""
+        odd = explain_pair(self.source, self.target)
+        return f"{detail}; {odd}" if odd else detail

@@ -7,7 +7,7 @@ without a model of incidence.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -28,6 +28,10 @@ _BEAMS = 1.05  # cells are a little higher than beams are apart, so that none fa
 # pattern. (At the upper and the lower border of the view nothing is seen: of 16 beams that is an eighth.)
 _ENOUGH_DENSE, _ENOUGH_SEEN = 0.9, 0.6
 _LARGER = 1.5
+_BEHIND_RATIO, _BEHIND_M = 1.5, 1.0  # a point so much behind another one in its direction was seen through it
+_CROSSED_DEG = 0.5
+_ENOUGH_POINTS = 500_000  # to tell that surfaces lie behind each other
+_FEWEST_CELLS = 50  # with several points; fewer say nothing about all
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +42,8 @@ class RangeImage:
     tables: rows by the rise of a direction, turns by the quadrant's share, number of cells and first cell of every
     row: rows have fewer cells the nearer they are to a pole, so that all are about as wide; size_deg: height and width
     of a cell; dense_ratio, seen_ratio: of the cells with a point, those with four held ones among the nine, and those
-    that are not -1.
+    that are not -1; crossed_ratio: of the directions (cells of half a degree, whatever the size of these) with several
+    ranges, those with one far behind another; 0 where too few tell, and of an image whose cells were kept.
     """
 
     near: NDArray[np.float32]
@@ -47,6 +52,7 @@ class RangeImage:
     size_deg: Size
     dense_ratio: float
     seen_ratio: float
+    crossed_ratio: float = 0.0
 
 
 def build_range_image(points: Array, origin: Array, min_range_m: float, beam_spacing_deg: float) -> RangeImage:
@@ -63,7 +69,7 @@ def build_range_image(points: Array, origin: Array, min_range_m: float, beam_spa
         image = max((_build(points, origin, min_range_m, size) for size in larger), key=lambda tried: tried.dense_ratio)
     while image.seen_ratio < _ENOUGH_SEEN and image.size_deg[0] < _LARGEST_DEG:
         image = _build(points, origin, min_range_m, _larger(image.size_deg)[1])
-    return image
+    return replace(image, crossed_ratio=_crossed_ratio(points, origin, min_range_m))
 
 
 def restore_range_image(
@@ -100,9 +106,7 @@ def _larger(size_deg: Size) -> tuple[Size, Size]:
 
 def _build(points: Array, origin: Array, min_range_m: float, size_deg: Size) -> RangeImage:
     tables = _tables(size_deg)
-    num = int(tables[2].sum())
-    near, far = np.full(num, np.inf, np.float32), np.zeros(num, np.float32)
-    range_image_kernels.fill(points, origin, min_range_m, tables, near, far)
+    near, far = _fill(points, origin, min_range_m, tables)
     rows, cells = _used_rows(tables, far)
     tables, near, far = _cut(size_deg, rows), near[cells], far[cells]
     wide_near, wide_far = np.empty_like(near), np.empty_like(far)
@@ -111,6 +115,31 @@ def _build(points: Array, origin: Array, min_range_m: float, size_deg: Size) -> 
     )  # fmt: skip
     shares = num_dense / max(num_held, 1), num_seen / max(num_held, 1)
     return RangeImage(wide_near, wide_far, tables, size_deg, *shares)
+
+
+def _crossed_ratio(points: Array, origin: Array, min_range_m: float) -> float:
+    """From where a scan was taken surfaces lie behind each other at edges only; from elsewhere they do all over.
+
+    Larger cells than these hold several beams on grazing ground; smaller ones hold several points at edges only.
+    """
+    some = np.ascontiguousarray(points[:: 1 + len(points) // _ENOUGH_POINTS])
+    near, far = _fill(some, origin, min_range_m, _tables((_CROSSED_DEG, _CROSSED_DEG)))
+    several = far > near
+    num_several = int(several.sum())
+    if num_several < _FEWEST_CELLS:
+        return 0.0
+    near, far = near[several], far[several]
+    return float(((far > _BEHIND_RATIO * near) & (far - near > _BEHIND_M)).sum() / num_several)
+
+
+def _fill(
+    points: Array, origin: Array, min_range_m: float, tables: Tables
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Least and greatest range of each cell of an image of all directions; inf and 0 where no point is."""
+    num = int(tables[2].sum())
+    near, far = np.full(num, np.inf, np.float32), np.zeros(num, np.float32)
+    range_image_kernels.fill(points, origin, min_range_m, tables, near, far)
+    return near, far
 
 
 @lru_cache(maxsize=32)

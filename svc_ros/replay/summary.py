@@ -33,6 +33,7 @@ class Tally:
     num_revised: int = 0
     verdicts: Counter[str] = field(default_factory=Counter)
     reasons: Counter[str] = field(default_factory=Counter)
+    details: dict[str, str] = field(default_factory=dict)
     last: dict[tuple[int, int], tuple[RegistrationResult, Errors | None]] = field(default_factory=dict)
     accepted_errors: list[Errors] = field(default_factory=list)
     without_reference: int = 0
@@ -69,6 +70,7 @@ class Tally:
         """Count a result once more, or take it back where `num` is -1."""
         self.verdicts[result.verdict.value] += num
         self.reasons[result.reason.value] += num
+        self.details.setdefault(result.reason.value, result.detail)
         if not (result.accepted and is_pair):
             return
         if errors is None:
@@ -89,12 +91,14 @@ class Tally:
         return sum(deg > MAX_ROTATION_DEG or m > MAX_TRANSLATION_M for deg, m in self.accepted_errors)
 
     def numbers(self) -> dict[str, Any]:
-        """Counts by verdict (all of them) and by reason (those that occurred), and times by stage."""
+        """Counts by verdict (all of them) and by reason (those that occurred, each with its first detail), and times by
+        stage."""
         return {
             "num_scans": self.num_scans,
             "num_decisions": self.verdicts.total(),
             "verdicts": {verdict.value: self.verdicts[verdict.value] for verdict in Verdict},
             "reasons": {reason: num for reason, num in sorted(self.reasons.items()) if num},
+            "details": {reason: self.details[reason] for reason, num in sorted(self.reasons.items()) if num},
             "num_revised": self.num_revised,
             "latency_ms": {name: _median_and_p95(values) for name, values in sorted(self.stage_ms.items())},
         }

@@ -35,6 +35,14 @@ def test_the_last_line_sums_up(capsys: pytest.CaptureFixture[str]) -> None:
     assert printed(capsys, {**SUMMARY, **nothing})[-1] == "0 decisions on 9 scans; see out/x"
 
 
+def test_where_nothing_is_accepted_the_most_frequent_reason_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    told = {"details": {"low_overlap": "0.02", "too_few_points": "found 0: millimetres?"}}
+    refused = {"verdicts": {"accepted": 0, "rejected": 4}, "reasons": {"low_overlap": 1, "too_few_points": 3}}
+    lines = printed(capsys, {**SUMMARY, **told, **refused})
+    assert lines[-2] == "nothing was accepted; for example too_few_points: found 0: millimetres?"
+    assert not any("for example" in line for line in printed(capsys, {**SUMMARY, **told}))
+
+
 def test_a_report_is_what_to_see(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     (tmp_path / "report.html").write_text("")
     print_summary("bag", SUMMARY, tmp_path)

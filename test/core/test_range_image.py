@@ -230,3 +230,17 @@ def test_an_image_of_which_the_cells_were_kept_is_the_same(case, size_deg):
     assert (again.size_deg, again.dense_ratio, again.seen_ratio) == (size_deg, *shares)
     with pytest.raises(InputError, match=r"range image: expected \d+ cells"):
         restore_range_image(np.append(image.near, -1), np.append(image.far, -1), size_deg, rows_of(image), shares)
+
+
+def test_surfaces_behind_each_other_are_not_seen_from_one_place():
+    rng = np.random.default_rng(4)
+    directions = directions_of(rng.uniform(-180, 180, 40_000), rng.uniform(-30, 30, 40_000))
+    near, far = 5.0 * directions[:20_000], 12.0 * directions[20_000:]
+
+    def crossed(points):
+        return build_range_image(points, ORIGIN, MIN_RANGE, 0.5).crossed_ratio
+
+    assert crossed(near) == 0.0
+    assert crossed(near * rng.uniform(1.0, 1.4, (20_000, 1))) == 0.0
+    assert crossed(np.vstack([near, far])) > 0.3
+    assert crossed(np.vstack([near[:40], far[:40]])) == 0.0, "too few directions tell nothing"

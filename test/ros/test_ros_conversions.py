@@ -13,10 +13,13 @@ pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from ros_bench import matrix
 
+from svc_ros.core.config import preset
 from svc_ros.core.errors import InputError, MissingDependencyError, TransformUnavailableError
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
+from svc_ros.core.scan import Scan
 from svc_ros.core.se3 import make_pose
 from svc_ros.io.clouds.point_cloud2 import scan_from_cloud
+from svc_ros.pipeline.decide import register_pair
 from svc_ros.ros.parameters import NodeSettings
 from svc_ros.ros.topics import conversions
 from svc_ros.ros.topics.frames import Frames, TransformOutput
@@ -89,6 +92,15 @@ def test_decision_is_ok_warn_or_error(result, level, message):
     (status,) = array.status
     assert (status.level, status.message) == (level, message)
     assert [(kv.key, kv.value) for kv in status.values] == [("verdict", result.verdict.value)]
+
+
+def test_the_hint_at_another_unit_reaches_the_message():
+    """What the node does with two clouds: the pair's result becomes the status."""
+    scan = Scan(1000.0 * np.random.default_rng(0).normal(size=(500, 3)) * 8.0)
+    result = register_pair(scan, scan, preset("lidar_outdoor"))
+    (status,) = conversions.decision_message(result, {}, STAMP, "map").status
+    assert status.message.startswith("rejected: too_few_points (")
+    assert "millimetres?" in status.message
 
 
 def test_sensor_in_the_cloud_frame_needs_no_tf():

@@ -44,6 +44,9 @@ def check_bag(
         findings = [_check_topic(info) for info in bag.topics]
         if not names:
             return [*findings, _no_clouds(bag.topics)]
+        if len(names) > 1:
+            advice = "svc_ros replay and the node take one of them, or one each for source and target: name it"
+            findings.append(Finding("cloud topics", "ok", ", ".join(names), advice))
         tree, problem = _transforms(bag)
         for name in names:
             notes = take_notes(bag, name, partial(_sensor_origin, tree, sensor_frame))
@@ -86,8 +89,10 @@ def _check_cloud_topic(
     name: str, notes: CloudNotes, tree: TransformTree, trial: bool, sensor_frame: str | None
 ) -> list[Finding]:
     if not notes.stamps_ns:
-        return [Finding(name, "error", "no cloud recorded")]
+        return [Finding(name, "error", "no cloud recorded", "was the sensor's driver running, and its QoS one that "
+                        "the recorder takes? ros2 topic hz tells")]  # fmt: skip
     checks = [
+        *_check_number(notes),
         *check_clouds(notes),
         *check_stamps(notes.stamps_ns),
         *check_bag_times(notes.stamps_ns, notes.bag_times_ns),
@@ -96,6 +101,13 @@ def _check_cloud_topic(
     if trial and not any(check.level == "error" for check in checks):
         checks += try_pairs(notes.pairs, suggest_preset(notes).preset)
     return [Finding(f"{name} {check.name}", check.level, check.found, check.advice) for check in checks]
+
+
+def _check_number(notes: CloudNotes) -> list[Finding]:
+    if len(notes.stamps_ns) > 1:
+        return []
+    advice = "nothing to register it with: record a run, or compare two files by svc_ros register"
+    return [Finding("number of clouds", "warn", "1", advice)]
 
 
 def _check_frames(notes: CloudNotes, tree: TransformTree, sensor_frame: str | None) -> list[Finding]:

@@ -11,10 +11,13 @@ from svc_ros.cli.doctor.notes import CloudNotes
 from svc_ros.core.auto_preset import NEAREST_M, Choice, choose_by_outlooks
 from svc_ros.core.config import PreprocessConfig
 from svc_ros.core.scan import Array
+from svc_ros.core.scans.oddities import explain_crossed, explain_few_points, explain_ranges, explain_shape
+from svc_ros.core.scans.preprocess import crop_range, thin_on_voxel_grid
 
 _MANY = 0.5  # share of dropped points above which somebody should look
-_CROSSED = 0.10  # scans seen from their own sensor have up to 0.05
+_HERE = np.zeros(3)  # points of a view are relative to the sensor
 _FARTHEST_M = 1000.0  # no sensor of these presets reaches farther
+_LONGEST_SWEEP_S = 0.5
 _CUT = 0.2  # share of points outside the preset's ranges above which its values do not fit
 
 
@@ -52,9 +55,15 @@ def _check_points(notes: CloudNotes) -> list[Finding]:
         return []
     total, empty = sum(notes.num_points), notes.num_points.count(0)
     low, middle, high = min(notes.num_points), int(np.median(notes.num_points)), max(notes.num_points)
+    found = f"{middle} a cloud ({low} to {high}), {empty} clouds empty"
+    points = Finding("points", "ok", found)
+    if not notes.num_usable:
+        advice = "the driver runs without measurements: look at the sensor, its cable, and the driver's range limits"
+        points = Finding("points", "error", f"{found}, not one that can be used", advice)
+    elif empty:
+        points = Finding("points", "warn", found, "empty clouds are rejected with too_few_points")
     return [
-        Finding("points", "warn" if empty else "ok", f"{middle} a cloud ({low} to {high}), {empty} clouds empty",
-                "empty clouds are rejected with too_few_points" if empty else ""),
+        points,
         _check_dropped("NaN share", notes.num_nan, total),
         _check_dropped("zero-point share", notes.num_zero, total),
     ]  # fmt: skip
@@ -62,9 +71,10 @@ def _check_points(notes: CloudNotes) -> list[Finding]:
 
 def _check_dropped(name: str, num_dropped: int, total: int) -> Finding:
     share = num_dropped / total if total else 0.0
-    many = share > _MANY
-    advice = "most points carry nothing: look at the sensor's range and at its driver" if many else ""
-    return Finding(name, "warn" if many else "ok", f"{share:.1%}", advice)
+    if share <= _MANY:
+        return Finding(name, "ok", f"{share:.1%}")
+    advice = "points that carry nothing: look at the sensor's range and at its driver"
+    return Finding(name, "error" if num_dropped == total else "warn", f"{share:.1%}", advice)
 
 
 def _check_times(notes: CloudNotes) -> Finding:
@@ -81,7 +91,11 @@ def _check_times(notes: CloudNotes) -> Finding:
     span = float(np.median(spans))
     if span == 0.0:
         return Finding(name, "warn", f"field {fields}, the same for all points", "the driver fills in no times")
-    return Finding(name, "ok", f"field {fields}, a sweep lasts {span:.3f} s")
+    found = f"field {fields}, a sweep lasts {span:.3f} s"
+    if span <= _LONGEST_SWEEP_S:
+        return Finding(name, "ok", found)
+    advice = "longer than sensors take: several sweeps in a cloud, or a share of the sweep (0 to 1) instead of seconds?"
+    return Finding(name, "warn", found, advice)
 
 
 def _check_free(notes: CloudNotes) -> list[Finding]:
@@ -91,30 +105,24 @@ def _check_free(notes: CloudNotes) -> list[Finding]:
 
 def _check_viewpoint(notes: CloudNotes) -> list[Finding]:
     """Does the sensor stand at the origin? Seen from elsewhere, surfaces lie behind each other."""
-    crossed = float(np.quantile([view.crossed_share for view in notes.views], 0.75))
+    crossed = float(np.quantile([view.crossed_ratio for view in notes.views], 0.75))
     found = f"{crossed:.1%} of the directions from the origin meet several surfaces"
-    if crossed <= _CROSSED:
-        return [Finding("sensor at the origin", "ok", found)]
-    advice = (
-        "sight lines would start in the wrong place: clouds in a map's frame (name the sensor's by --sensor-frame, "
-        "sensor_frame or sensor_origin), of several sensors, or accumulated"
-    )
-    return [Finding("sensor at the origin", "warn", found, advice)]
+    advice = explain_crossed(crossed)
+    return [Finding("sensor at the origin", "warn" if advice else "ok", found, advice)]
 
 
 def _check_preset(notes: CloudNotes) -> list[Finding]:
     choice = suggest_preset(notes)
-    if choice.outlook is None:
-        return [Finding("scale", "error", f"no point beyond {NEAREST_M:g} m", "expected metres")]
-    reach = choice.outlook.reach_m
-    if reach >= _FARTHEST_M:
-        advice = "expected metres: millimetres, or a map's coordinates?"
-        return [Finding("scale", "error", f"98 % of the points within {reach:.3g} m", advice)]
     config = choice.config.preprocess
+    reach = f"98 % of the points within {choice.outlook.reach_m:.3g} m" if choice.outlook else ""
+    if choice.outlook is None or choice.outlook.reach_m >= _FARTHEST_M:
+        why = next(filter(None, (explain_ranges(view.points, _HERE, config) for view in notes.views)), "")
+        found = reach or f"no point beyond {NEAREST_M:g} m"
+        return [Finding("scale", "error", found, f"expected metres: {why or 'some points lie far outside'}")]
     other = f"; {choice.may_be} may fit as well" if choice.may_be else ""
     advice = f"start with --preset {choice.preset}, or auto, which looks at the first clouds{other}"
     found = f"{choice.preset}: {choice.why}"
-    return [Finding("preset", "ok", found, advice), *_check_cut(notes, config), *_check_voxels(notes, config)]
+    return [Finding("preset", "ok", found, advice), *_check_cut(notes, config), *_check_thinned(notes, config)]
 
 
 def _check_cut(notes: CloudNotes, config: PreprocessConfig) -> list[Finding]:
@@ -131,21 +139,27 @@ def _outside(points: Array, config: PreprocessConfig) -> tuple[float, float]:
     return float((ranges < config.min_range_m).mean()), float((ranges > config.max_range_m).mean())
 
 
-def _check_voxels(notes: CloudNotes, config: PreprocessConfig) -> list[Finding]:
-    """What is left after range crop and voxel grid has to be enough for a registration."""
-    left = [_num_voxels(view.points, config) for view in notes.views]
-    few = sum(num < config.min_points for num in left)
-    if not few:
-        return []
-    found = f"{_shown(left)} left on the preset's voxels of {config.voxel_size_m:g} m, {config.min_points} are needed"
-    level: Level = "error" if few == len(left) else "warn"
-    return [Finding("points left", level, found, "smaller preprocess.voxel_size_m, wider ranges, or another sensor")]
+def _check_thinned(notes: CloudNotes, config: PreprocessConfig) -> list[Finding]:
+    """What is left after range crop and voxel grid has to be enough for a registration, and more than a plane."""
+    size = config.voxel_size_m
+    left = [thin_on_voxel_grid(crop_range(view.points, _HERE, config), size) for view in notes.views]
+    few = [view for view, points in zip(notes.views, left, strict=True) if len(points) < config.min_points]
+    shapes = (explain_shape(points, _HERE, size) for points in left if len(points) >= config.min_points)
+    flat = [told for told in shapes if told]
+    findings = []
+    if few:
+        found = f"{_shown([*map(len, left)])} left on the preset's voxels of {size:g} m, {config.min_points} are needed"
+        advice = explain_few_points(few[0].points, _HERE, config)
+        findings.append(Finding("points left", _level(few, left), found, advice))
+    if flat:
+        what, _, advice = flat[0].partition(": ")
+        found = f"in {len(flat)} of {len(left)} clouds {what}"
+        findings.append(Finding("structure", _level(flat, left), found, advice))
+    return findings
 
 
-def _num_voxels(points: Array, config: PreprocessConfig) -> int:
-    ranges = np.linalg.norm(points, axis=1)
-    kept = points[(ranges >= config.min_range_m) & (ranges <= config.max_range_m)]
-    return len(np.unique(np.floor(kept / config.voxel_size_m).astype(np.int64), axis=0))
+def _level(odd: Sequence[object], views: Sequence[object]) -> Level:
+    return "error" if len(odd) == len(views) else "warn"
 
 
 def _shown(counts: Sequence[int]) -> str:

@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from svc_ros.core.auto_preset import Outlook, look_out
+from svc_ros.core.auto_preset import NEAREST_M, Outlook, look_out
 from svc_ros.core.errors import InputError, TransformUnavailableError
+from svc_ros.core.range_image import build_range_image
 from svc_ros.core.scan import Array
+from svc_ros.core.scans.preprocess import estimate_beam_spacing_deg
 from svc_ros.io.bags import Bag
 from svc_ros.io.clouds.point_cloud2 import CloudReading, scan_from_cloud
 from svc_ros.io.clouds.point_times import TIME_FIELDS
@@ -20,25 +22,22 @@ from svc_ros.io.stamps import ns_from_stamp
 SAMPLED = 20  # clouds that are looked at closely where every one would add nothing
 TRIED = 3  # pairs of neighbours that are kept for a registration
 _FIELD_TYPES = {1: "int8", 2: "uint8", 3: "int16", 4: "uint16", 5: "int32", 6: "uint32", 7: "float32", 8: "float64"}
-_CELL_DEG = 0.5
-_FEWEST_CELLS = 50  # with several points; fewer say nothing about all
-_NEAREST_M = 0.3  # nearer points have no direction worth the name
+_KEPT_POINTS = 500_000  # of one cloud: as many tell all that is asked of them
 FindOrigin = Callable[[str, int], Array | None]
-_BEHIND_RATIO, _BEHIND_M = 1.5, 1.0  # a point so much behind another one in its direction was seen through it
 
 
 @dataclass(frozen=True)
 class View:
     """One cloud as seen by its sensor.
 
-    points: (N, 3) [m], relative to the sensor; outlook: by which a preset is chosen, None without points to tell;
-    crossed_share: of the directions that hold several points, those with one far behind another; num_free: directions
-    that are told to be free of any return; sweep_s: span of the points' times, or None.
+    points: (N, 3) [m], relative to the sensor, of a large cloud evenly fewer; outlook: by which a preset is chosen,
+    None without points to tell; crossed_ratio: see `RangeImage`; num_free: directions that are told to be free of any
+    return; sweep_s: span of the points' times, or None.
     """
 
     points: Array
     outlook: Outlook | None
-    crossed_share: float
+    crossed_ratio: float
     num_free: int
     sweep_s: float | None
 
@@ -53,6 +52,7 @@ class CloudNotes:
     stamps_ns: list[int] = field(default_factory=list)
     bag_times_ns: list[int] = field(default_factory=list)
     num_points: list[int] = field(default_factory=list)
+    num_usable: int = 0  # points that are neither NaN, inf nor zero
     num_nan: int = 0
     num_zero: int = 0
     num_repeated: int = 0
@@ -76,6 +76,7 @@ class CloudNotes:
             self.refused.append(str(error))
             return None
         self.num_points.append(reading.num_points)
+        self.num_usable += len(reading.scan)
         self.num_nan += reading.num_dropped_nan
         self.num_zero += reading.num_dropped_zero
         self.num_timed += reading.scan.point_times_s is not None
@@ -139,30 +140,8 @@ def _view(reading: CloudReading) -> View:
     scan = reading.scan
     points = scan.points - scan.sensor_origin
     times, free = scan.point_times_s, scan.free_directions
+    image = build_range_image(points, np.zeros(3), NEAREST_M, estimate_beam_spacing_deg(points, np.zeros(3)))
     return View(
-        points, look_out(scan.points, scan.sensor_origin), crossed_share(points),
+        points[:: 1 + len(points) // _KEPT_POINTS], look_out(scan.points, scan.sensor_origin), image.crossed_ratio,
         0 if free is None else len(free), None if times is None or not len(times) else float(np.ptp(times)),
     )  # fmt: skip
-
-
-def crossed_share(points: Array) -> float:
-    """Of the directions (cells of half a degree) with several points (N, 3), those with one far behind another.
-
-    From where a scan was taken this happens at edges only: in at most 5 % of the cells. From elsewhere, and in a cloud
-    that was put together from several places, surfaces lie behind each other all over.
-    """
-    ranges = np.linalg.norm(points, axis=1)
-    points, ranges = points[ranges > _NEAREST_M], ranges[ranges > _NEAREST_M]
-    if not len(points):
-        return 0.0
-    azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0])) + 180.0
-    elevation = np.degrees(np.arcsin(points[:, 2] / ranges)) + 90.0
-    cell = np.floor(azimuth / _CELL_DEG).astype(np.int64) * 1000 + np.floor(elevation / _CELL_DEG).astype(np.int64)
-    order = np.lexsort((ranges, cell))
-    cell, ranges = cell[order], ranges[order]
-    starts = np.flatnonzero(np.r_[True, cell[1:] != cell[:-1]])
-    counts = np.diff(np.r_[starts, len(cell)])
-    nearest, farthest = ranges[starts], ranges[starts + counts - 1]
-    crossed = (farthest > _BEHIND_RATIO * nearest) & (farthest - nearest > _BEHIND_M)
-    num_several = int((counts > 1).sum())
-    return float(crossed.sum() / num_several) if num_several >= _FEWEST_CELLS else 0.0

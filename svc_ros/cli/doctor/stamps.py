@@ -18,6 +18,9 @@ def check_stamps(stamps_ns: Sequence[int]) -> list[Finding]:
     """Look at the header stamps of a topic [ns], in the order in which clouds came."""
     if not any(stamps_ns):
         return [Finding("stamps", "error", "all zero", "the driver must stamp its clouds; pairs are made by stamp")]
+    if len(stamps_ns) > 1 and len(set(stamps_ns)) == 1:
+        found = f"all {text_from_ns(stamps_ns[0])} s"
+        return [Finding("stamps", "error", found, "the driver must stamp every cloud anew; pairs are made by stamp")]
     told = [stamp for stamp in stamps_ns if stamp]
     findings = _check_order(np.array(told, np.int64))
     if missing := len(stamps_ns) - len(told):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,9 +15,12 @@ from svc_ros.core.parallel import in_parts, on_all_processors
 from svc_ros.core.range_image import build_range_image
 from svc_ros.core.scan import Array, PreparedScan, Scan
 from svc_ros.core.scans.neighbours import NearestGrid, RadiusGrid
+from svc_ros.core.scans.oddities import explain_few_points
 
 _SECTOR_DEG = 0.5
 _EVERY_SECTOR = 6  # a sixth of the points shows the spacing as well as all of them
+_ENOUGH_POINTS, _MOST_SPARED = 1_000_000, 20  # from twice as many on, fewer sectors; never fewer than six of them
+_TURN_STEPS, _MARGIN = 2048, 1e-3  # a step is far less than a sector; of a sector, more than arithmetic errs
 _SAME_BEAM_DEG, _NEXT_SECTOR = 0.05, 500.0  # keys of two sectors differ by more, those of one by less
 _COLUMN_VOXELS = 4.0  # edge of the columns that sort the points
 _FREE_CELL = float(np.radians(1.0))  # edge on the unit sphere: one free direction a cell, no return as near to it
@@ -32,7 +37,8 @@ def preprocess(scan: Scan, config: PreprocessConfig) -> PreparedScan:
         raise TooFewPointsError(
             f"scan {scan.frame_id!r} at {scan.stamp_ns} ns: expected at least {config.min_points} points after "
             f"the range crop ({config.min_range_m:g}-{config.max_range_m:g} m) and the voxel grid "
-            f"({config.voxel_size_m:g} m), found {len(points)} (of {len(scan)} raw points, {len(cropped)} in range)"
+            f"({config.voxel_size_m:g} m), found {len(points)} (of {len(scan)} raw points, {len(cropped)} in range): "
+            f"{explain_few_points(scan.points, scan.sensor_origin, config)}"
         )
     normals = estimate_normals(points, scan.sensor_origin, config)
     spacing = estimate_beam_spacing_deg(cropped, scan.sensor_origin)
@@ -55,11 +61,23 @@ def estimate_beam_spacing_deg(points: Array, sensor_origin: Array) -> float:
     Looks into narrow azimuth sectors, where a spinning sensor or a depth image is a vertical line of beams. 0 where
     no sector holds two of them.
     """
+    every = _EVERY_SECTOR * min(max(len(points) // _ENOUGH_POINTS, 1), _MOST_SPARED)
     keys = np.empty(len(points))
-    num = raw_scan_kernels.fill_elevations(points, sensor_origin, _SECTOR_DEG, _EVERY_SECTOR, keys)
+    num = raw_scan_kernels.fill_elevations(points, sensor_origin, _SECTOR_DEG, every, _maybe_in_sector(every), keys)
     gap = np.diff(np.sort(keys[:num]))
     gap = gap[(gap > _SAME_BEAM_DEG) & (gap < _NEXT_SECTOR)]
     return float(np.median(gap)) if len(gap) else 0.0
+
+
+@lru_cache(maxsize=8)
+def _maybe_in_sector(every: int) -> NDArray[np.bool_]:
+    """Table (4, _TURN_STEPS + 1) of `fill_elevations`: whether a share of a quadrant touches a sector that counts."""
+    share = np.minimum(np.arange(_TURN_STEPS + 2) / _TURN_STEPS, 1.0)
+    angle = np.degrees(np.arctan2(share, 1.0 - share))
+    quadrants = np.array([angle, 180.0 - angle, -angle, angle - 180.0]) / _SECTOR_DEG
+    one, other = quadrants[:, :-1], quadrants[:, 1:]
+    ends = np.stack((np.minimum(one, other) - _MARGIN, np.maximum(one, other) + _MARGIN))
+    return np.asarray((np.floor(ends) % every == 0).any(0))
 
 
 def thin_on_voxel_grid(points: Array, voxel_size_m: float) -> Array:

@@ -129,8 +129,8 @@ def scan_from_cloud(msg: CloudMessage, *, sensor_origin: ArrayLike | None = None
     PointField type are taken as metres; rows of an organised cloud follow each other. Points with NaN or inf (whatever
     `is_dense` claims) and points at exactly 0, 0, 0 are dropped together with their times, and counted. A cloud
     without points is an empty scan. In an organised cloud points at +inf, +inf, +inf tell the free directions; NaN and
-    zero tell nothing. Of the fields t, time, timestamp, offset_time and time_stamp the first that holds
-    one usable number a point tells the times (see `offsets_from_stamp` for units); others are left alone.
+    zero tell nothing. Of the fields TIME_FIELDS the first that holds one usable number a point tells the
+    times (see `offsets_from_stamp` for units); others are left alone.
 
     Raises UnsupportedCloudError where layout and bytes contradict each other or x, y, z are not there exactly once,
     InputError where `sensor_origin` is no point.

@@ -12,6 +12,7 @@ from mini_data import POSES, scan_room
 
 from svc_ros.core.config import PreprocessConfig
 from svc_ros.core.errors import ConfigError, TooFewPointsError
+from svc_ros.core.kernels import raw_scan
 from svc_ros.core.range_image import build_range_image
 from svc_ros.core.scan import Scan
 from svc_ros.core.scans import preprocess as stage
@@ -79,6 +80,14 @@ def test_one_point_a_voxel_and_it_is_the_mean():
     thinned = stage.thin_on_voxel_grid(np.concatenate([corner, cluster, cluster + 5.0]), 0.2)
     expected = np.stack([corner[0], cluster.mean(0), cluster.mean(0) + 5.0])
     np.testing.assert_allclose(thinned, expected, atol=1e-9)
+
+
+def test_the_table_of_cells_grows_with_them():
+    """More cells than any first table has, each met twice, far apart in the cloud."""
+    x, y = np.meshgrid(np.arange(150), np.arange(150))
+    cells = np.column_stack([x.ravel(), y.ravel(), 0 * x.ravel()]) + 0.5
+    thinned = stage.thin_on_voxel_grid(np.vstack([cells - 0.2, RNG.permutation(cells) + 0.2]), 1.0)
+    np.testing.assert_allclose(thinned[np.lexsort(thinned.T)], cells[np.lexsort(cells.T)], atol=1e-8)
 
 
 @pytest.mark.parametrize("voxel", [0.05, 0.3, 2.0])
@@ -193,6 +202,31 @@ def test_beam_spacing_is_that_of_the_sensor(num_beams, spacing):
         found = stage.estimate_beam_spacing_deg(points + origin, origin)
         assert found == pytest.approx(spacing, rel=0.02)
         assert stage.estimate_beam_spacing_deg(RNG.permutation(points) + origin, origin) == found
+
+
+@pytest.mark.parametrize("every", [6, 30])
+def test_elevations_of_some_sectors_equal_those_by_angles_alone(every):
+    """Beside the borders of sectors and on those of quadrants, too: there the table must not spare the arc tangent."""
+    borders = np.arange(-180.0, 180.0, 0.5)
+    azimuth = np.radians(np.concatenate([borders + 1e-9, borders + 0.5 - 1e-9, RNG.uniform(-180, 180, 20_000)]))
+    points = np.column_stack([np.cos(azimuth), np.sin(azimuth), RNG.uniform(-1, 1, len(azimuth))])
+    points = np.vstack([points, [[0.0, 0, 1], [1, 0, 0], [-1, 0, 0], [-1, -0.0, 0], [0, 1, 0], [0, -1, 0]]])
+    x, y, z = points.T
+    sector = np.floor(np.degrees(np.arctan2(y, x)) / 0.5)
+    wanted = (1024.0 * sector + np.degrees(np.arctan2(z, np.sqrt(x * x + y * y))))[sector % every == 0]
+    keys = np.empty(len(points))
+    num = raw_scan.fill_elevations(points, np.zeros(3), 0.5, every, stage._maybe_in_sector(every), keys)
+    np.testing.assert_allclose(keys[:num], wanted, rtol=1e-12)
+
+
+def test_a_cloud_of_millions_shows_its_spacing_in_fewer_sectors(monkeypatch):
+    beams, rays = np.meshgrid(np.radians(np.arange(-15.0, 16.0, 2.0)), np.radians(np.arange(0, 360, 0.1)))
+    ring = np.column_stack([(np.cos(beams) * np.cos(rays)).ravel(), (np.cos(beams) * np.sin(rays)).ravel(),
+                            np.sin(beams).ravel()])  # fmt: skip
+    whole = stage.estimate_beam_spacing_deg(ring, np.zeros(3))
+    for enough in (10_000, 100):
+        monkeypatch.setattr(stage, "_ENOUGH_POINTS", enough)
+        assert stage.estimate_beam_spacing_deg(ring, np.zeros(3)) == pytest.approx(whole, rel=1e-6)
 
 
 def test_one_ring_has_no_beam_spacing():

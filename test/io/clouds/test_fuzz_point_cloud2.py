@@ -42,6 +42,9 @@ def _no_hang() -> Iterator[None]:
 # The twin: knows nothing of arrays, reads value by value, and says what a refusal may name
 
 
+UNITS_NS = (1, 1_000, 1_000_000, 10**9)
+
+
 @dataclass(frozen=True)
 class SlowReading:
     """What a cloud holds; `stored` are all its points, of which `points` are usable."""
@@ -104,14 +107,27 @@ def slow_times(cloud: Cloud, starts: list[int]) -> list[float] | None:
         if len(named) != 1 or not is_scalar(named[0]):
             continue
         values = [value(cloud, named[0], start) for start in starts]
-        if CODES[named[0].datatype] not in "fd":
-            return [v * 1e-9 for v in values]
-        seconds, rest = divmod(cloud.stamp_ns, 10**9)
-        absolute = [(v - seconds) - rest * 1e-9 for v in values]
-        for offsets in (values, absolute, [(v - float(cloud.stamp_ns)) * 1e-9 for v in values]):
-            if all(abs(offset) <= 2.0 for offset in offsets):
-                return offsets
+        if (offsets := slow_offsets(values, CODES[named[0].datatype], cloud.stamp_ns)) is not None:
+            return offsets
     return None
+
+
+def slow_offsets(values: list[float], code: str, stamp_ns: int) -> list[float] | None:
+    """The first reading that touches the stamp, else the first within 2 s of it."""
+    if not values or not all(map(math.isfinite, values)):
+        return None if values else []
+    span = float(max(values)) - float(min(values))
+    likely = [unit for unit in UNITS_NS if 0.01 <= span * unit / 1e9 <= 0.5]
+    relative = likely or ([10**9] if code in "fd" else [1])
+    absolute = likely or [10**9, 1, 1_000, 1_000_000]
+    readings = [(unit, [v * (unit / 1e9) for v in values]) for unit in relative]
+    for unit in absolute:
+        whole, rest = divmod(stamp_ns, unit)
+        readings.append((unit, [(v - whole) * (unit / 1e9) - rest * 1e-9 for v in values]))
+    largest = max(map(abs, values))
+    step = 1.0 if code not in "fd" else math.ulp(largest) if code == "d" else 2.0 ** (math.frexp(largest)[1] - 24)
+    near = [r for unit, r in readings if step * unit <= 2e6 and all(abs(offset) <= 2.0 for offset in r)]
+    return next((r for r in near if min(r) <= 0.25 and max(r) >= -0.25), near[0] if near else None)
 
 
 # The comparison
