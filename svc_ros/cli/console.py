@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -45,6 +45,12 @@ def summary_console(json_target: str | None) -> Console:
 def note(message: str) -> None:
     """One line for a person, on stderr, not wrapped."""
     print(message, file=sys.stderr)
+
+
+def warn_of_damage(damage: Iterable[object]) -> None:
+    """One line on stderr for each damaged file of a bag."""
+    for text in damage:
+        note(f"warning: {text}")
 
 
 @contextmanager
