@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import (
@@ -28,6 +28,9 @@ from rich.text import Text
 from svc_ros.core.compiling import Compiling, opening, told, watched
 from svc_ros.core.errors import InputError
 from svc_ros.io.places import check_place
+
+if TYPE_CHECKING:
+    from svc_ros.io.bags import Bag
 
 STDOUT = "-"
 
@@ -51,6 +54,15 @@ def warn_of_damage(damage: Iterable[object]) -> None:
     """One line on stderr for each damaged file of a bag."""
     for text in damage:
         note(f"warning: {text}")
+
+
+@contextmanager
+def damage_told(bag: Bag) -> Iterator[None]:
+    """Warn of what is known when a bag is open, and at the end of what came to light while it was read."""
+    known = [str(damage) for damage in bag.damage]
+    warn_of_damage(known)
+    yield
+    warn_of_damage(text for text in map(str, bag.damage) if text not in known)
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from svc_ros.cli.console import ProgressCallback, key_value_table, summary_console, warn_of_damage
+from svc_ros.cli.console import ProgressCallback, damage_told, key_value_table, summary_console
 from svc_ros.cli.options import ConfigOption, PresetOption, SensorOption, StrictOption, TopicOption, read_wanted
 from svc_ros.cli.replay import BagArgument, DurationOption, StartOption
 from svc_ros.cli.replay_console import replay_progress
@@ -85,13 +85,12 @@ def _runs(jobs: Sequence[ReplayJob], names: Sequence[str]) -> Iterator[Run]:
 
     settled: ReplayJob | None = None
     for job, name in zip(jobs, names, strict=True):
-        with Bag(job.bag, job.strict) as bag, replay_progress(name) as on_progress:
+        with Bag(job.bag, job.strict) as bag, damage_told(bag), replay_progress(name) as on_progress:
             topic = bag.resolve_cloud_topic(job.topic)
             if settled is None:
                 settled = job.settled(bag, topic)
             job = replace(job, config=settled.config, preset=settled.base)
             yield Run(name, _scans(bag, open_replay(job, bag, topic, ()), on_progress), job.config)
-        warn_of_damage(bag.damage)
 
 
 def _scans(bag: Bag, replay: Replay, on_progress: ProgressCallback) -> Iterator[Tracked]:

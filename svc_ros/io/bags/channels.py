@@ -30,7 +30,8 @@ class TopicShare(NamedTuple):
 
     def __str__(self) -> str:
         of = "" if self.num_recorded is None else f" of {self.num_recorded}"
-        return f"{self.num_read}{of} messages of {self.name}"
+        one = (self.num_read if self.num_recorded is None else self.num_recorded) == 1
+        return f"{self.num_read}{of} message{'' if one else 's'} of {self.name}"
 
 
 @dataclass(frozen=True)

@@ -62,19 +62,20 @@ class Db3Scan:
             raise InputError(f"{self._path}: cannot be read as a bag: {what}{self._size_told()}") from None
 
     def _go_through(self) -> None:
-        last, gaps = 0, 0
+        last, num_lost = 0, 0
         while True:
             last, is_end = self._read_on(last)
             if is_end:
                 break
-            gaps += 1
             following = self._first_readable(last)
             if following is None:
                 self.found.end_early(f"its rows after message {last} are damaged{self._size_told()}")
                 return
+            num_lost += following - last - 1
             last = following - 1
-        if gaps:
-            self.found.causes.append(f"{gaps} of its rows or groups of rows are damaged{self._size_told()}")
+        if num_lost:
+            self.found.causes.append(f"{num_lost} rows of messages are damaged{self._size_told()}")
+            self.found.ends_early = True  # of which topics they were, nobody knows
         elif self._size_told():
             self.found.causes.append(self._size_told().removeprefix(": "))
         if any(file.name.endswith("-journal") for file in unfinished_beside(self._path)):
@@ -95,7 +96,8 @@ class Db3Scan:
                     with suppress(ValueError):
                         self.found.add(topic, time_ns, Place(-1, key, len(data)))
                         continue
-                self.found.causes.append(f"message {key} is damaged")
+                self.found.causes.append(f"row {key} of its messages is damaged")
+                self.found.lost[topic] += 1
         except (sqlite3.Error, MemoryError):
             return last, False
         return last, True

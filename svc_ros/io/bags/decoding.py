@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,29 +22,23 @@ class UnreadableMessageError(Exception):
     """Bytes that are no message of the type that they should be."""
 
 
-class Decoder:
-    """Messages of a bag; each definition is worked out once, and only where a message has it."""
+def decode(channel: Channel, raw: bytes) -> Any:
+    """The message; Livox' own one as a cloud. UnreadableMessageError for anything else."""
+    try:
+        if not channel.is_ros1 and bytes(raw[:4]) == ZSTD_MAGIC:  # no serialised message begins like this
+            raw = decompress(bytes(raw), "zstd", _MOST_BYTES)
+        store = _types(channel.type, channel.definition, channel.is_idl, channel.is_ros1)
+        if channel.type in LIVOX_TYPES:
+            return _livox_cloud(store, channel, raw)
+        return _message(store, channel, raw)
+    except Exception as error:  # what is wrong with bytes has a type for each way to trip over them
+        raise UnreadableMessageError(channel.topic) from error
 
-    def __init__(self) -> None:
-        self._stores: dict[tuple[str, str, bool], Typestore] = {}
 
-    def decode(self, channel: Channel, raw: bytes) -> Any:
-        """The message; Livox' own one as a cloud. UnreadableMessageError for anything else."""
-        try:
-            if not channel.is_ros1 and bytes(raw[:4]) == ZSTD_MAGIC:  # no serialised message begins like this
-                raw = decompress(bytes(raw), "zstd", _MOST_BYTES)
-            store = self._store(channel)
-            if channel.type in LIVOX_TYPES:
-                return _livox_cloud(store, channel, raw)
-            return _message(store, channel, raw)
-        except Exception as error:  # what is wrong with bytes has a type for each way to trip over them
-            raise UnreadableMessageError(channel.topic) from error
-
-    def _store(self, channel: Channel) -> Typestore:
-        key = channel.type, channel.definition, channel.is_ros1
-        if key not in self._stores:
-            self._stores[key] = _recorded_types(channel) or _known_types(channel.is_ros1)
-        return self._stores[key]
+@lru_cache(maxsize=64)
+def _types(name: str, definition: str, is_idl: bool, is_ros1: bool) -> Typestore:
+    """Each definition is worked out once, and only where a message has it."""
+    return _recorded_types(name, definition, is_idl) or _known_types(is_ros1)
 
 
 def _message(store: Typestore, channel: Channel, raw: bytes) -> Any:
@@ -52,9 +47,10 @@ def _message(store: Typestore, channel: Channel, raw: bytes) -> Any:
 
 
 def _livox_cloud(store: Typestore, channel: Channel, raw: bytes) -> Any:
-    if _layout(store, channel.type) != _layout(_known_types(is_ros1=False), channel.type):
+    known = _known_types(is_ros1=False)
+    if _layout(store, channel.type) != _layout(known, channel.type):
         return cloud_from_points(_message(store, channel, raw))
-    data = store.ros1_to_cdr(raw, channel.type) if channel.is_ros1 else raw
+    data = known.ros1_to_cdr(raw, channel.type) if channel.is_ros1 else raw
     cloud = cloud_from_cdr(bytes(data))
     return replace(cloud, data=np.frombuffer(cloud.data, np.uint8))
 
@@ -65,24 +61,25 @@ def _layout(store: Typestore, name: str) -> str:
     return str([store.fielddefs[name][1], store.fielddefs[f"{package}/msg/CustomPoint"][1]])
 
 
-def _recorded_types(channel: Channel) -> Typestore | None:
+def _recorded_types(name: str, definition: str, is_idl: bool) -> Typestore | None:
     """The types of a recorded definition; None where it is none, or damaged."""
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
-    if not channel.definition:
+    if not definition:
         return None
     store, line = get_typestore(Stores.EMPTY), "=" * 80 + "\n"
     try:
-        if not channel.is_idl:
-            store.register(get_types_from_msg(channel.definition, channel.type))
-        for text in channel.definition.split(line) if channel.is_idl else ():
+        if not is_idl:
+            store.register(get_types_from_msg(definition, name))
+        for text in definition.split(line) if is_idl else ():
             if text.strip():
                 store.register(get_types_from_idl(text.partition("\n")[2] if text.startswith("IDL: ") else text))
-        return store if channel.type in store.fielddefs else None
+        return store if name in store.fielddefs else None
     except Exception:  # of its parser, of its grammar, of the code that it writes
         return None
 
 
+@lru_cache(maxsize=2)
 def _known_types(is_ros1: bool) -> Typestore:
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 

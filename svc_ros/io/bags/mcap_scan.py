@@ -157,4 +157,4 @@ def _text(data: bytes, at: int) -> tuple[str, int]:
     end = start + struct.unpack_from("<I", data, at)[0]
     if end > len(data):
         raise ValueError("a text is cut")
-    return data[start:end].decode("utf-8"), end
+    return data[start:end].decode("utf-8", "replace"), end  # definitions of other encodings are no text

@@ -15,6 +15,8 @@ from svc_ros.io.bags.decompression import ZSTD_MAGIC, unpack_file
 from svc_ros.io.bags.files import find_recording
 from svc_ros.io.bags.part import Part, Span
 
+_CUT_PACKING = "its compression is cut or damaged"
+
 
 class OpenParts:
     """The parts of a bag. A file that cannot be opened is damage where there are others.
@@ -99,8 +101,11 @@ class OpenParts:
                 return file
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="svc_ros_"))
             unpacked = Path(folder, file.stem)
-            if not unpack_file(file, unpacked):
-                self._causes.append((file, "its compression is cut or damaged"))
+            is_whole = unpack_file(file, unpacked)
+            if not is_whole:
+                self._causes.append((file, _CUT_PACKING))
+            if not is_whole and not unpacked.stat().st_size:
+                raise InputError(f"{file}: cannot be read as a bag: {_CUT_PACKING}, and nothing in it is intact")
             return unpacked
         except OSError as error:
             raise InputError(f"{file}: cannot be read: {error.strerror}") from None

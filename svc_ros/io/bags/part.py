@@ -58,7 +58,7 @@ class Part:
     def causes(self) -> list[str]:
         """What is wrong with the file, as far as it is known now."""
         found = self._open_file().causes
-        return [*found, *(f"{len(times)} messages of {topic} are damaged" for topic, times in self._unreadable.items())]
+        return [*found, *(f"{topic} has {len(times)} damaged" for topic, times in self._unreadable.items())]
 
     def num_lost(self, topic: str) -> int | None:
         """Messages of a topic that were recorded and cannot be read; None where nobody knows."""
@@ -75,22 +75,27 @@ class Part:
         self._on_damage()
 
     def messages(self, wanted: Callable[[Channel], bool], span_ns: Span | None = None) -> Iterator[Message]:
-        """Channel, time [ns] and bytes of messages by time; from where the index fails on, the scan goes on."""
+        """Channel, time [ns] and bytes of messages by time; from where the index fails on, the scan goes on.
+
+        An index that counts more messages than it leads to has failed, too.
+        """
         span = span_ns or (0, _MAX_TIME_NS)
-        last_ns, done = -1, Counter[str]()
+        last_ns, done, left = -1, Counter[str](), self._num_within(wanted, span)
         file = self._open_file()
         try:
             for message in file.messages(wanted, span):
                 if message[1] != last_ns:
                     last_ns, done = message[1], Counter()
                 done[message[0].topic] += 1
+                left -= 1
                 yield message
-            return
+            if left <= 0 or isinstance(file, _Scanned):
+                return
         except Exception as error:
             if isinstance(file, _Scanned):
                 raise InputError(f"{self.name}: cannot be read any more: it has changed") from error
         if file is self._file:
-            self._scan()
+            self._scan("its index does not fit its messages")
         for message in self._open_file().messages(wanted, (max(last_ns, span[0]), span[1])):
             if message[1] == last_ns and done[message[0].topic] > 0:
                 done[message[0].topic] -= 1
@@ -108,10 +113,21 @@ class Part:
             raise InputError(f"{self.name}: the bag is not open; use it in a `with` block")
         return self._file
 
-    def _scan(self) -> None:
+    def _num_within(self, wanted: Callable[[Channel], bool], span: Span) -> int:
+        """How many messages the index counts; 0 where only a part of the time is asked for."""
+        begin, end = self.span_ns
+        if span[0] > begin or span[1] < end:
+            return 0
+        return sum(channel.num_messages for channel in self.channels if wanted(channel))
+
+    def _scan(self, otherwise: str = "") -> None:
+        """otherwise: what is wrong with the file, if the scan finds nothing."""
         before = self._file
         try:
-            self._file = _Scanned(_SCANS[self._magic](self._path))
+            scan = _SCANS[self._magic](self._path)
+            if otherwise and not scan.found.causes:
+                scan.found.causes.append(otherwise)
+            self._file = _Scanned(scan)
         except OSError as error:
             raise InputError(f"{self.name}: cannot be read: {error.strerror or error}") from None
         if before is not None:
@@ -139,6 +155,12 @@ class _Indexed:
         }
         is_empty = not self._reader.message_count
         self.span_ns = (0, -1) if is_empty else (self._reader.start_time, self._reader.end_time - 1)
+        counted = sum(channel.num_messages for channel in self.channels.values())
+        # Without an index of chunks rosbags takes messages in the order of the file, and refuses any other.
+        has_index = is_ros1 or getattr(self._reader.storage, "chunks", None) != []
+        if counted != self._reader.message_count or not has_index:
+            self._reader.close()
+            raise ValueError("no index")
 
     def num_lost(self, _topic: str) -> int | None:
         return 0

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from svc_ros.core.errors import InputError
 from svc_ros.core.se3 import Array, make_pose
 from svc_ros.io.bags.channels import Channel, Damage
-from svc_ros.io.bags.decoding import Decoder, UnreadableMessageError
+from svc_ros.io.bags.decoding import UnreadableMessageError, decode
 from svc_ros.io.bags.opening import OpenParts
 from svc_ros.io.bags.result_writer import ResultWriter
 from svc_ros.io.bags.writers import CloudBagWriter
@@ -71,7 +71,6 @@ class Bag:
         self._name = ", ".join(str(path) for path in self.paths) or "bag"
         self._parts: OpenParts | None = None
         self._damage: list[Damage] = []
-        self._decoder = Decoder()
 
     def __enter__(self) -> Bag:
         if not self.paths:
@@ -204,7 +203,7 @@ class Bag:
 
         for part, channel, bag_time_ns, raw in self._open_parts().messages(wanted, span_ns):
             try:
-                message = self._decoder.decode(channel, raw)
+                message = decode(channel, raw)
             except UnreadableMessageError:
                 part.mark_unreadable(channel.topic, bag_time_ns)
                 continue

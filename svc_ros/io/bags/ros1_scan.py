@@ -120,8 +120,8 @@ class Ros1Scan(RecordScan):
     def _describe(self, fields: Fields, data: bytes) -> None:
         """Take note of a connection; the first word on each counts."""
         conn, inner = _number(fields[b"conn"]), _fields(data)
-        name, text = inner[b"type"].decode("utf-8"), inner[b"message_definition"].decode("utf-8", "replace")
-        path = fields[b"topic"].decode("utf-8")
+        name, text = inner[b"type"].decode("utf-8", "replace"), inner[b"message_definition"].decode("utf-8", "replace")
+        path = fields[b"topic"].decode("utf-8", "replace")
         topic = "/" * path.startswith("/") + "/".join(filter(None, path.split("/")))
         self.found.channels.setdefault(conn, Channel(conn, topic, ros2_type_name(name), text, is_ros1=True))
 

@@ -81,7 +81,7 @@ def cloud_from_cdr(data: bytes) -> LivoxCloud:
 def cloud_from_points(message: Any) -> LivoxCloud:
     """A CustomMsg of other fields than the driver's, an object a point: all that are numbers, by their names."""
     points = message.points
-    names = [name for name in vars(points[0]) if np.isscalar(getattr(points[0], name))] if len(points) else []
+    names = [name for name, value in vars(points[0]).items() if isinstance(value, int | float)] if len(points) else []
     columns = {name: np.array([getattr(point, name) for point in points]) for name in names}
     kinds = {name: (_UINT32, "<u4") if _is_whole(column) else (_FLOAT64, "<f8") for name, column in columns.items()}
     rows = np.empty(len(points), np.dtype([(name, code) for name, (_, code) in kinds.items()]))
