@@ -31,7 +31,7 @@ def test_replay_warns_and_writes_the_damage_down(bag: Path, tmp_path: Path) -> N
     assert summary["num_scans"] == 2
     (damage,) = summary["damage"]
     assert (f"warning: {damage['message']}", damage["file"]) == (warning, str(bag / "drive.mcap"))
-    assert damage["topics"] == {"/points": {"num_read": 2, "num_recorded": 3}}
+    assert damage["counts"] == {"/points": {"num_read": 2, "num_recorded": 3}}
 
 
 def test_replay_of_several_bags_tells_which_are_damaged(bag: Path, tmp_path: Path) -> None:

@@ -50,8 +50,8 @@ class Damage:
 
     def told(self) -> dict[str, Any]:
         """For a JSON result."""
-        topics = {t.name: {"num_read": t.num_read, "num_recorded": t.num_recorded} for t in self.topics}
-        return {"file": str(self.path), "message": str(self), "topics": topics}
+        counts = {t.name: {"num_read": t.num_read, "num_recorded": t.num_recorded} for t in self.topics}
+        return {"file": str(self.path), "message": str(self), "counts": counts}
 
 
 def ros2_type_name(name: str) -> str:

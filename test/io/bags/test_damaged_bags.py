@@ -308,7 +308,7 @@ def test_damage_is_told_of_a_bag_that_is_closed_again(tmp_path: Path) -> None:
     assert damage.told() == {
         "file": str(file_of(path)),
         "message": str(damage),
-        "topics": {"/points": {"num_read": 2, "num_recorded": 3}},
+        "counts": {"/points": {"num_read": 2, "num_recorded": 3}},
     }
 
 
