@@ -75,7 +75,7 @@ class Db3Scan:
             last = following - 1
         if num_lost:
             self.found.causes.append(f"{num_lost} rows of messages are damaged{self._size_told()}")
-            self.found.ends_early = True  # of which topics they were, nobody knows
+            self.found.is_open = True  # of which topics they were, nobody knows
         elif self._size_told():
             self.found.causes.append(self._size_told().removeprefix(": "))
         if any(file.name.endswith("-journal") for file in unfinished_beside(self._path)):

@@ -31,7 +31,6 @@ class McapScan(RecordScan):
     def __init__(self, path: Path) -> None:
         self._schemas: dict[int, tuple[str, str, str]] = {}  # name, encoding, text
         self._has_data_end = False
-        self._statistics: dict[int, int] | None = None
         super().__init__(path)
 
     def take(self, position: int) -> int:
@@ -40,7 +39,7 @@ class McapScan(RecordScan):
             raise BrokenRecordError(self._place_in_file(0))
         op, length = _RECORD.unpack(head)
         start, end = position + _RECORD.size, position + _RECORD.size + length
-        if op == 0 or _DATA_END < op < _FIRST_PRIVATE:
+        if not _is_operation(op):
             raise BrokenRecordError
         if op == _CHUNK:
             block = self._chunk_at(position)
@@ -56,12 +55,8 @@ class McapScan(RecordScan):
         return int(end)
 
     def finish(self) -> None:
-        if not self._has_data_end and not self.found.ends_early:
+        if not self._has_data_end and not self.found.is_cut:
             self.found.end_early(f"the file ends after {self.size} bytes, before its index")
-        if self._statistics is not None:
-            self.found.ends_early = False
-            for key, count in self._statistics.items():
-                self.found.lost[key] = max(0, count - self.found.counts[key])
 
     def find_chunk(self, position: int) -> int | None:
         while position < self.size:
@@ -91,7 +86,7 @@ class McapScan(RecordScan):
             self.tell_index(channel_id, num_bytes // _INDEX_ENTRY)
         elif op == _STATISTICS:
             data = self.bytes_at(start, length)
-            self._statistics = dict(struct.iter_unpack("<HQ", data[46 : 46 + struct.unpack_from("<I", data, 42)[0]]))
+            self.found.recorded = dict(struct.iter_unpack("<HQ", data[46 : 46 + struct.unpack_from("<I", data, 42)[0]]))
         self._has_data_end |= op == _DATA_END
         self.is_over |= op == _FOOTER
 
@@ -122,7 +117,7 @@ class McapScan(RecordScan):
         while at + _RECORD.size <= len(data):
             op, length = _RECORD.unpack_from(data, at)
             start, end = at + _RECORD.size, at + _RECORD.size + length
-            if end > len(data):
+            if end > len(data) or not _is_operation(op):
                 return False
             try:
                 if op == _MESSAGE:
@@ -149,6 +144,10 @@ class McapScan(RecordScan):
         name, encoding, definition = self._schemas.get(schema, ("", "", ""))
         channel = Channel(key, topic, ros2_type_name(name), definition, encoding in _IDL, is_ros1)
         self.found.channels.setdefault(key, channel)
+
+
+def _is_operation(op: int) -> bool:
+    return 0 < op <= _DATA_END or op >= _FIRST_PRIVATE
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:

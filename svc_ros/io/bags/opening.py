@@ -74,7 +74,10 @@ class OpenParts:
         self._stack.close()
 
     def _files_of(self, path: Path) -> list[Path]:
-        recording = find_recording(path)
+        try:
+            recording = find_recording(path)
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {error.strerror}") from None
         self._causes += recording.causes
         self._recorded.update(recording.recorded)
         self._is_recorded &= bool(recording.recorded)
@@ -112,7 +115,7 @@ class OpenParts:
 
     def _on_damage(self) -> None:
         if self._raises and (damage := self.damage):
-            raise InputError(f"{damage[0]} (refused, as damage is to be)")
+            raise InputError(f"{damage[0]}; refused, because damage is to be (strict)")
 
     def _check_not_all_is_lost(self, paths: Sequence[Path]) -> None:
         held = Counter({channel.topic: 0 for channel in self.channels()})

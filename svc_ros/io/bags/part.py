@@ -185,7 +185,7 @@ class _Scanned:
 
     def num_lost(self, topic: str) -> int | None:
         found = self._scan.found
-        if found.ends_early:
+        if found.is_open:
             return None
         return sum(found.lost[key] for key, channel in self.channels.items() if channel.topic == topic)
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import struct
+from collections import Counter
+from pathlib import Path
 
 from svc_ros.core.errors import InputError
 from svc_ros.io.bags.channels import Channel, ros2_type_name
@@ -23,7 +25,11 @@ class Ros1Scan(RecordScan):
     """Messages of a ROS 1 bag."""
 
     begin = len(ROS1_MAGIC)
-    _index_at = 0
+
+    def __init__(self, path: Path) -> None:
+        self._index_at = self._num_chunks = self._num_infos = 0
+        self._counted: Counter[int] = Counter()  # messages by connection, as the index counts them
+        super().__init__(path)
 
     def take(self, position: int) -> int:
         fields, start, length = self._record_at(position)
@@ -39,7 +45,9 @@ class Ros1Scan(RecordScan):
         return end
 
     def finish(self) -> None:
-        if self.found.ends_early:
+        if self._num_infos and self._num_infos == self._num_chunks:
+            self.found.recorded = self._counted
+        if self.found.is_cut:
             return
         if not self._index_at:
             self.found.end_early("its recording was not closed")
@@ -84,6 +92,11 @@ class Ros1Scan(RecordScan):
             if fields.get(b"encryptor"):
                 raise InputError(f"{self._file.name}: cannot be read as a bag: it is encrypted")
             self._index_at = struct.unpack("<Q", fields[b"index_pos"])[0]
+            self._num_chunks = _number(fields[b"chunk_count"])
+        elif op == _CHUNK_INFO:
+            self._num_infos += 1
+            for conn, count in struct.iter_unpack("<II", self.bytes_at(place.offset, place.length)):
+                self._counted[conn] += count
 
     def _chunk(self, fields: Fields, start: int, length: int) -> Block:
         """The chunk of a header. BrokenRecordError where its length is damaged: too long, as if the file were cut."""

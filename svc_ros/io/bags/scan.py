@@ -8,7 +8,7 @@ from __future__ import annotations
 from array import array
 from binascii import crc32
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
@@ -45,7 +45,8 @@ class Block(NamedTuple):
 class Found:
     """What a scan came across. causes: what is wrong with the file, in words that follow `FILE: `.
 
-    lost: messages by channel that are known to have been there; ends_early: nobody knows what else there was.
+    lost: messages by channel that are known to have been there; is_cut: the file breaks off; is_open: nobody knows what
+    else there was; recorded: messages by channel as the index at the file's end counts them, None without a whole one.
     """
 
     def __init__(self) -> None:
@@ -53,7 +54,8 @@ class Found:
         self.counts: Counter[int] = Counter()
         self.lost: Counter[int] = Counter()
         self.causes: list[str] = []
-        self.ends_early = False
+        self.is_cut = self.is_open = False
+        self.recorded: Mapping[int, int] | None = None
         self._rows = [array("q") for _ in range(5)]  # time, channel, block, offset, length
 
     def add(self, channel_id: int, time_ns: int, place: Place) -> None:
@@ -67,10 +69,13 @@ class Found:
     def end_early(self, cause: str) -> None:
         """Take note of where the file breaks off."""
         self.causes.append(cause)
-        self.ends_early = True
+        self.is_cut = self.is_open = True
 
     def settle(self) -> None:
         """To be called after the last message: channels get their counts, messages without one are lost."""
+        if self.recorded is not None:
+            self.lost = Counter({key: max(0, num - self.counts[key]) for key, num in self.recorded.items()})
+            self.is_open = False
         unknown = sum(count for key, count in self.counts.items() if key not in self.channels)
         if unknown:
             self.causes.append(f"{unknown} messages are of a topic whose name is lost")
@@ -122,6 +127,7 @@ class RecordScan:
         self.found = Found()
         self.in_chunk: Counter[int] = Counter()  # intact messages of the last chunk, by channel
         self._blocks: dict[int, Block] = {}
+        self._is_uncounted = False  # whether the last chunk is damaged, and no index told how much was in it
         self.size = path.stat().st_size
         self.is_over = False
         self._file = path.open("rb")
@@ -154,6 +160,8 @@ class RecordScan:
         A chunk that is not what its header says is lost as a whole; of one that the file ends in, what is there counts.
         """
         self._blocks[position], self.in_chunk = block, Counter()
+        self.found.is_open |= self._is_uncounted
+        self._is_uncounted = False
         end, before = block.start + block.length, self.found.counts.copy()
         is_cut = end > self.size
         try:
@@ -167,12 +175,14 @@ class RecordScan:
         except (ValueError, MemoryError) as error:
             if not is_cut:
                 self.found.causes.append(f"the chunk at byte {position} is damaged: {error}")
+                self._is_uncounted = True
         if is_cut:
             self.found.end_early(f"the file ends after {self.size} bytes in the middle of a chunk")
         return min(end, self.size)
 
     def tell_index(self, channel_id: int, count: int) -> None:
         """Compare with how many messages of a channel the last chunk's index counts."""
+        self._is_uncounted = False
         missing = count - self.in_chunk[channel_id]
         if missing > 0:
             self.found.lost[channel_id] += missing
@@ -184,6 +194,7 @@ class RecordScan:
                 position = self.take(position)
             except BrokenRecordError as error:
                 position = self._after_damage(position, error.what)
+        self.found.is_open |= self._is_uncounted
         self.finish()
         self.found.settle()
 
@@ -191,6 +202,7 @@ class RecordScan:
         following = self.find_chunk(position + 1)
         if following is not None:
             self.found.causes.append(f"bytes {position} to {following} are damaged")
+            self.found.is_open = True
             return following
         if what:
             self.found.end_early(f"the file ends after {self.size} bytes in the middle of {what}")
