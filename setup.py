@@ -56,6 +56,8 @@ setup(
         f"open3d-cpu>=0.18; {LIGHT_OPEN3D}",
         f"open3d>=0.18; {FULL_OPEN3D}",
         "rosbags>=0.11",
+        "lz4>=4",
+        "backports.zstd>=1; python_version < '3.14'",
         "kiss-icp>=1.2",
         "small-gicp>=1.0",
         "pyyaml>=6.0",

@@ -22,6 +22,7 @@ from svc_ros.cli.console import (
     note,
     progress,
     summary_console,
+    warn_of_damage,
     working,
     write_json,
 )
@@ -36,6 +37,7 @@ from svc_ros.cli.options import (
     ReferenceFrameOption,
     SensorOption,
     Settings,
+    StrictOption,
     TopicOption,
     WorkersOption,
     choose_from,
@@ -49,7 +51,8 @@ if TYPE_CHECKING:
     from svc_ros.evaluation.bag_pairs import BagSource
     from svc_ros.io.datasets import Dataset
 
-BagNames = tuple[str | None, str | None, str | None]  # cloud topic, frame of the reference, frame of the sensor
+# Cloud topic, frame of the reference, frame of the sensor, whether damage is refused.
+OfBags = tuple[str | None, str | None, str | None, bool]
 
 DataArgument = Annotated[
     list[Path], typer.Argument(metavar="DIR|BAG...", help="Folders with a dataset.json, or bags with --reference.")
@@ -92,6 +95,7 @@ def calibrate(
     page: PageOption = True,
     out: OutOption = None,
     json_target: JsonOption = None,
+    strict: StrictOption = False,
 ) -> None:
     """Choose decision.min_probability by labelled data, so that wrong acceptances stay below a rate.
 
@@ -104,7 +108,7 @@ def calibrate(
     from svc_ros.evaluation.calibration.claims import pairs_needed
 
     needed = pairs_needed(max_wrong_rate, confidence)
-    sources = _sources(data, reference or [], (topic, reference_frame, sensor_frame))
+    sources = _sources(data, reference or [], (topic, reference_frame, sensor_frame, strict))
     settings = _settings(sources, preset, method, config_file)
     if out is not None:
         make_output_folder(out)
@@ -134,7 +138,7 @@ def _check_page(wanted: bool) -> None:
         raise MissingDependencyError("calibration.html needs plotly: pip install plotly, or calibrate with --no-page")
 
 
-def _sources(data: Sequence[Path], references: Sequence[Path], of_bags: BagNames) -> list[Dataset | BagSource]:
+def _sources(data: Sequence[Path], references: Sequence[Path], of_bags: OfBags) -> list[Dataset | BagSource]:
     """Data sets that are read, and bags with their references, in the order of the command line."""
     from svc_ros.evaluation.bag_pairs import BagSource
     from svc_ros.io.datasets import read_dataset
@@ -180,7 +184,7 @@ def _choose(source: Dataset | BagSource) -> Choice:
 
     if isinstance(source, Dataset):
         return choose_for(source)
-    with Bag(source.bag) as bag:
+    with Bag(source.bag, source.strict) as bag:
         part = BagPart(bag.resolve_cloud_topic(source.topic), sensor_frame=source.sensor_frame)
         return choose_from(first_scans(bag, part, FIRST_SCANS))
 
@@ -196,7 +200,9 @@ def _opened(
         if isinstance(source, BagSource):
             (folder / str(k)).mkdir()
             with working(f"choosing pairs of {source.bag.name}"):
-                source = dataset_of_bag(source, settings.base, settings.config, num, folder / str(k))
+                made = dataset_of_bag(source, settings.base, settings.config, num, folder / str(k))
+            warn_of_damage(made.damage)
+            source = made
         sets.append((source, settings.config))
     return sets
 

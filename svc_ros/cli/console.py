@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import (
@@ -29,6 +29,9 @@ from svc_ros.core.compiling import Compiling, opening, told, watched
 from svc_ros.core.errors import InputError
 from svc_ros.io.places import check_place
 
+if TYPE_CHECKING:
+    from svc_ros.io.bags import Bag
+
 STDOUT = "-"
 
 ProgressCallback = Callable[[int, int], None]
@@ -45,6 +48,21 @@ def summary_console(json_target: str | None) -> Console:
 def note(message: str) -> None:
     """One line for a person, on stderr, not wrapped."""
     print(message, file=sys.stderr)
+
+
+def warn_of_damage(damage: Iterable[object]) -> None:
+    """One line on stderr for each damaged file of a bag."""
+    for text in damage:
+        note(f"warning: {text}")
+
+
+@contextmanager
+def damage_told(bag: Bag) -> Iterator[None]:
+    """Warn of what is known when a bag is open, and at the end of what came to light while it was read."""
+    known = [str(damage) for damage in bag.damage]
+    warn_of_damage(known)
+    yield
+    warn_of_damage(text for text in map(str, bag.damage) if text not in known)
 
 
 @contextmanager

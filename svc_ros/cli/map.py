@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from svc_ros.cli.console import ProgressCallback, key_value_table, summary_console
-from svc_ros.cli.options import ConfigOption, PresetOption, SensorOption, TopicOption, read_wanted
+from svc_ros.cli.console import ProgressCallback, damage_told, key_value_table, summary_console
+from svc_ros.cli.options import ConfigOption, PresetOption, SensorOption, StrictOption, TopicOption, read_wanted
 from svc_ros.cli.replay import BagArgument, DurationOption, StartOption
 from svc_ros.cli.replay_console import replay_progress
 from svc_ros.core.errors import InputError
@@ -42,6 +42,7 @@ def map(
     sensor_frame: SensorOption = None,
     odometry_frame: OdometryOption = None,
     extend: ExtendOption = None,
+    strict: StrictOption = False,
 ) -> None:
     """Build a map of one bag or several: keyframes where they stood, for localisation.
 
@@ -68,7 +69,7 @@ def map(
     jobs = [
         ReplayJob(
             path, out, config, name, "loop_closure", topic, start, duration, sensor_frame=sensor_frame,
-            odometry_frame=odometry_frame, report=False, values=wanted.given,
+            odometry_frame=odometry_frame, report=False, values=wanted.given, strict=strict,
         )
         for path in paths
     ]  # fmt: skip
@@ -84,7 +85,7 @@ def _runs(jobs: Sequence[ReplayJob], names: Sequence[str]) -> Iterator[Run]:
 
     settled: ReplayJob | None = None
     for job, name in zip(jobs, names, strict=True):
-        with Bag(job.bag) as bag, replay_progress(name) as on_progress:
+        with Bag(job.bag, job.strict) as bag, damage_told(bag), replay_progress(name) as on_progress:
             topic = bag.resolve_cloud_topic(job.topic)
             if settled is None:
                 settled = job.settled(bag, topic)

@@ -54,6 +54,7 @@ SensorOption = Annotated[
     str | None,
     typer.Option("--sensor-frame", metavar="FRAME", help="Sensor's frame, where the clouds are in another one."),
 ]
+StrictOption = Annotated[bool, typer.Option("--strict", help="Refuse a damaged bag; else its intact part is read.")]
 ReferenceFrameOption = Annotated[
     str | None,
     typer.Option("--reference-frame", metavar="FRAME", help="Whose poses these are; the clouds' frame by default."),

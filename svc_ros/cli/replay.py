@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from svc_ros.cli.console import make_output_folder, note, progress
+from svc_ros.cli.console import make_output_folder, note, progress, warn_of_damage
 from svc_ros.cli.exit_codes import INTERRUPTED
 from svc_ros.cli.options import (
     ConfigOption,
@@ -17,6 +17,7 @@ from svc_ros.cli.options import (
     ReferenceFrameOption,
     SchedulerOption,
     SensorOption,
+    StrictOption,
     TopicOption,
     read_wanted,
 )
@@ -101,6 +102,7 @@ def replay(
     with_input: InputOption = False,
     report: ReportOption = True,
     scheduler: SchedulerOption = None,
+    strict: StrictOption = False,
 ) -> None:
     """Decide on the scans of bags, as the node would, as fast as the machine allows.
 
@@ -118,7 +120,7 @@ def replay(
     job = ReplayJob(
         paths[0], out, wanted.first_fit(), wanted.preset if map_folder is None else "map", mode, topic, start, duration,
         stride, max_rate, sensor_frame, odometry_frame, reference, reference_frame, with_input, resume, report,
-        wanted.given, map_folder=map_folder, map_reference=map_reference,
+        wanted.given, map_folder=map_folder, map_reference=map_reference, strict=strict,
     )  # fmt: skip
     if len(paths) == 1 and scheduler is None:
         interrupted = _replay_one(job)
@@ -135,6 +137,7 @@ def _replay_one(job: ReplayJob) -> bool:
 
     with stop_request() as stopped, replay_progress("replaying") as on_progress:
         summary = replay_bag(job, on_progress, stopped)
+    _warn([summary])
     print_summary(f"{job.bag} {summary['topic']}: {_how(job, summary)}", summary, job.out)
     return bool(summary["state"] != "complete")
 
@@ -153,6 +156,7 @@ def _replay_several(jobs: Sequence[ReplayJob], out: Path, scheduler: str | None)
     alone = len(jobs) == 1  # its own summary stands in the folder itself
     common = {} if alone else write_common_summary(out, jobs, done.summaries, done.errors)
     summary: dict[str, Any] = common or next(iter(done.summaries.values()), {})
+    _warn(done.summaries.values())
     if done.summaries:
         print_summary(f"{len(done.summaries)} of {len(jobs)} bags: {_how(jobs[0], summary)}", summary, out)
     if done.errors:
@@ -176,6 +180,10 @@ def _one_by_one(jobs: Sequence[ReplayJob]) -> ReplayedBags:
                 except InputError as error:
                     done.errors[job.out] = str(error)
     return done
+
+
+def _warn(summaries: Iterable[Mapping[str, Any]]) -> None:
+    warn_of_damage(damage["message"] for summary in summaries for damage in summary.get("damage", ()))
 
 
 def _how(job: ReplayJob, summary: Mapping[str, Any]) -> str:

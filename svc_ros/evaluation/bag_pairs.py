@@ -15,7 +15,7 @@ from svc_ros.core.errors import InputError, TransformUnavailableError
 from svc_ros.core.scan import Array, IndexArray, Scan
 from svc_ros.core.se3 import invert, rotation_angle_deg
 from svc_ros.evaluation.bag_reference import MAX_ROTATION_DEG, MAX_TRANSLATION_M, Reference
-from svc_ros.io.bags import Bag
+from svc_ros.io.bags import Bag, Damage
 from svc_ros.io.clouds.point_cloud2 import scan_from_cloud
 from svc_ros.io.datasets import Dataset, Pair, SuccessThresholds
 from svc_ros.io.stamps import ns_from_stamp
@@ -54,6 +54,7 @@ class BagSource:
     """Where pairs come from: a bag, its cloud topic (None: the only one), and the reference as a TUM file.
 
     reference_frame: whose poses those are (None: the clouds'); sensor_frame: see `pipeline.replay_clouds.BagPart`.
+    strict: refuse a bag that is damaged.
     """
 
     bag: Path
@@ -61,11 +62,14 @@ class BagSource:
     topic: str | None = None
     reference_frame: str | None = None
     sensor_frame: str | None = None
+    strict: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class BagDataset(Dataset):
-    """Pairs of a bag; the scans that take part lie in `root`, as the bag has them."""
+    """Pairs of a bag; the scans that take part lie in `root`, as the bag has them. damage: of the bag."""
+
+    damage: Sequence[Damage] = ()
 
     def read_scan(self, relative: str) -> Scan:
         """One scan by its number in the bag."""
@@ -82,7 +86,7 @@ class _Frames:
     poses: Array
 
 
-def dataset_of_bag(source: BagSource, preset: str, config: Config, num: tuple[int, int], folder: Path) -> Dataset:
+def dataset_of_bag(source: BagSource, preset: str, config: Config, num: tuple[int, int], folder: Path) -> BagDataset:
     """Choose pairs and negatives of a bag and write their scans to `folder`; the same choice whenever it is made.
 
     num: most pairs and most negatives. Pairs are spread over the whole bag and alternate between near and farther
@@ -90,7 +94,7 @@ def dataset_of_bag(source: BagSource, preset: str, config: Config, num: tuple[in
     their times do not overlap, and where no two scans are a pair.
     """
     spacing = SPACINGS[preset]
-    with Bag(source.bag) as bag:
+    with Bag(source.bag, source.strict) as bag:
         topic = bag.resolve_cloud_topic(source.topic)
         frames = _read_frames(bag, topic, Reference.read(source.reference, bag, source.reference_frame), source)
         pairs, negatives = choose_pairs(frames.stamps_ns, frames.poses, spacing, num)
@@ -104,7 +108,7 @@ def dataset_of_bag(source: BagSource, preset: str, config: Config, num: tuple[in
     name, limits = "/".join(source.bag.parts[-2:]), config.preprocess
     return BagDataset(
         folder, name, "", preset, limits.min_range_m, limits.max_range_m, np.zeros(3), spacing.success,
-        [_pair(frames, *pair) for pair in pairs], [_pair(frames, *pair) for pair in negatives],
+        [_pair(frames, *pair) for pair in pairs], [_pair(frames, *pair) for pair in negatives], damage=bag.damage,
     )  # fmt: skip
 
 

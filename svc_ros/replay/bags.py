@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from svc_ros.core.errors import InputError
+from svc_ros.io.bags.files import STORAGE_SUFFIXES, is_bag_folder
 from svc_ros.replay.job import SUMMARY, ReplayJob
 from svc_ros.replay.summary import combine, versions
 
-_SUFFIXES = (".bag", ".mcap", ".db3")
+_SUFFIXES = (".bag", ".active", *STORAGE_SUFFIXES)  # the last but these is what a ROS 1 recorder left
 
 
 def expand_bags(patterns: Sequence[str]) -> list[Path]:
@@ -36,9 +37,9 @@ def expand_bags(patterns: Sequence[str]) -> list[Path]:
 
 def _looks_like_bag(path: Path) -> bool:
     if path.is_dir():
-        return (path / "metadata.yaml").is_file()
+        return is_bag_folder(path)
     # a file of a bag folder belongs to that bag
-    return path.suffix in _SUFFIXES and not (path.parent / "metadata.yaml").is_file()
+    return path.suffix in _SUFFIXES and not is_bag_folder(path.parent)
 
 
 def jobs_of(bags: Sequence[Path], job: ReplayJob) -> list[ReplayJob]:
@@ -86,7 +87,7 @@ def write_common_summary(
 
 
 def _run(job: ReplayJob, summary: Mapping[str, Any] | None, error: str | None) -> dict[str, Any]:
-    names = ("num_scans", "num_decisions", "verdicts", "reasons", "real_time_factor", "false_loops", "chosen")
+    names = ("num_scans", "num_decisions", "verdicts", "reasons", "real_time_factor", "false_loops", "chosen", "damage")
     known = {} if summary is None else {name: summary[name] for name in names if name in summary}
     state = "failed" if error is not None else "not begun" if summary is None else summary["state"]
     return {"bag": str(job.bag), "out": job.out.name, "state": state, **known, **({"error": error} if error else {})}

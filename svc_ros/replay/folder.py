@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 from svc_ros.core.errors import InputError
+from svc_ros.io.bags import Damage
 from svc_ros.io.bags.result_writer import UNFINISHED
 from svc_ros.io.g2o import write_g2o
 from svc_ros.io.trajectories import Trajectory, write_tum
@@ -59,8 +60,11 @@ class RunFolder:
         finally:
             self._wall_s += time.monotonic() - begun
 
-    def finish(self, error: str = "") -> dict[str, Any]:
-        """Write trajectory, graph, summary and report; returns the summary. error: why the replay ended early."""
+    def finish(self, damage: Sequence[Damage] = (), error: str = "") -> dict[str, Any]:
+        """Write trajectory, graph, summary and report; returns the summary.
+
+        damage: of the bag; error: why the replay ended early.
+        """
         track, out = self._replay.track, self._job.out
         if error:
             self.state = "failed"
@@ -75,6 +79,7 @@ class RunFolder:
             "trajectory": {"num_poses": len(trajectory), "num_parts": track.num_parts},
             "graph": {"num_vertices": len(graph.poses), "num_edges": len(graph.edges)},
             **({} if optimised is None else {"optimized": optimised.numbers()}),
+            "damage": [one.told() for one in damage],
             **self._compared(trajectory, optimised), **({"error": error} if error else {}),
         }  # fmt: skip
         summary = self._write_summary(numbers)

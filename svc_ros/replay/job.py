@@ -44,7 +44,7 @@ class ReplayJob:
     (None: of the clouds' frame); map_folder: in `localization` the map, whose configuration counts, with `values` over
     it; map_reference: a TUM file with poses of its scans in the reference's frame (None: the reference has them, too);
     with_input: copy clouds and transforms into results.mcap; resume: continue an interrupted run;
-    report: write report.html. Raises InputError.
+    report: write report.html; strict: refuse a bag that is damaged. Raises InputError.
     """
 
     bag: Path
@@ -68,6 +68,7 @@ class ReplayJob:
     chosen: Choice | None = None
     map_folder: Path | None = None
     map_reference: Path | None = None
+    strict: bool = False
 
     def __post_init__(self) -> None:
         if self.mode not in MODES:

@@ -33,7 +33,7 @@ def replay_bag(
     complete outputs whose summary has the state `interrupted`. Raises InputError, ConfigError and
     MissingDependencyError; of a bag that breaks off there are complete outputs, too, and the state is `failed`.
     """
-    with Bag(job.bag) as bag:
+    with Bag(job.bag, job.strict) as bag:
         topic = bag.resolve_cloud_topic(job.topic)
         job = job.settled(bag, topic)
         config_text = config_to_yaml(job.config, job.base)
@@ -60,9 +60,9 @@ def replay_bag(
                 for decision in known[files.num_seen :]:  # interrupted before it came to them; their lines are there
                     _write_decision(decision, replay, folder, files)
         except SvcError as error:
-            folder.finish(str(error))
+            folder.finish(bag.damage, str(error))
             raise
-    return folder.finish()
+    return folder.finish(bag.damage)
 
 
 def _write_step(step: ReplayStep, job: ReplayJob, replay: Replay, folder: RunFolder, files: DecisionFiles) -> None:

@@ -54,9 +54,11 @@ def read_run(folder: Path) -> Run:
     trajectory = there("trajectory_tum.txt", "the way is drawn from the reference or from accepted pairs, if at all")
     optimized = folder / "trajectory_optimized_tum.txt"
     config = there("config.yaml", "the borders of the decision are those of the default preset")
+    told = {} if summary is None else _read_json(summary)
+    notes += [f"Damaged: {damage['message']}." for damage in told.get("damage", ())]
     return Run(
         [] if decisions is None else _last_words(read_jsonl(decisions)),
-        {} if summary is None else _read_json(summary),
+        told,
         None if trajectory is None or not trajectory.stat().st_size else read_tum(trajectory),
         read_tum(optimized) if optimized.is_file() and optimized.stat().st_size else None,
         None if config is None else read_config(config, preset("lidar_outdoor")),

@@ -139,13 +139,15 @@ def _recorded(options: argparse.Namespace) -> Generator[tuple[PointCloud2, ...],
     """What is published at once, in the order of the topics."""
     from svc_ros.io.bags import Bag
 
-    with Bag(options.bag) as bag:
+    with Bag(options.bag, options.strict) as bag:
         topic = bag.resolve_cloud_topic(options.topic)
         clouds = (message for _, message in bag.raw_clouds(topic))
         if options.scans:
             yield from islice(((ros_cloud(message),) for message in clouds), options.limit)
         else:
             yield from islice(pairs_from_clouds(clouds, options.stride), options.limit)
+        for damage in bag.damage:
+            print(f"bag_player: warning: {damage}", file=sys.stderr)
 
 
 def _paced(first: Any, rest: Iterator[Any], rate_hz: float) -> Iterator[Any]:
@@ -166,6 +168,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser("bag_player", description="Play a bag's clouds to the registration node.")
     parser.add_argument("bag", help="ROS 1 or ROS 2 bag")
     parser.add_argument("--topic", help="PointCloud2 topic; may be left out if the bag has only one")
+    parser.add_argument("--strict", action="store_true", help="refuse a damaged bag; else its intact part is played")
     parser.add_argument("--scans", action="store_true", help="play single scans, for scan_matching and loop_closure")
     parser.add_argument("--stride", type=_positive, default=1, help="scan k + stride is registered to scan k")
     parser.add_argument("--rate", type=_not_negative, default=1.0, help="pairs or scans a second; 0: no pause")

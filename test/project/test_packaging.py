@@ -24,7 +24,13 @@ from test_architecture import ROS_MODULES, imported_names
 import svc_ros
 
 MINORS = ("3.10", "3.11", "3.12", "3.13")
-DISTRIBUTIONS = {"yaml": {"pyyaml"}, "open3d": {"open3d", "open3d-cpu"}, "mpl_toolkits": {"matplotlib"}}
+DISTRIBUTIONS = {
+    "yaml": {"pyyaml"},
+    "open3d": {"open3d", "open3d-cpu"},
+    "mpl_toolkits": {"matplotlib"},
+    "backports": {"backports-zstd"},
+    "compression": {"backports-zstd"},  # Python's own from 3.14 on
+}
 ROS_PACKAGES = {"tf2_ros": "tf2_ros_py"}
 SCRIPTS = {"svc_ros", "registration_node", "bag_player"}
 

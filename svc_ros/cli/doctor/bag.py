@@ -24,26 +24,29 @@ _RAW_TYPES = {  # what carries scans, but not as points: the end of its type's n
     "HesaiScan": "packets: run the sensor's driver on them and record its PointCloud2",
     "UdpFrame": "packets: run the sensor's driver on them and record its PointCloud2",
     "NebulaPackets": "packets: run the sensor's driver on them and record its PointCloud2",
-    "CustomMsg": "Livox' own message: set the driver's xfer_format to PointCloud2",
     "sensor_msgs/msg/PointCloud": "the old message: convert it to PointCloud2",
     "sensor_msgs/msg/LaserScan": "a plane of points is too little for a pose in three dimensions",
 }
 
 
 def check_bag(
-    path: str | Path, topic: str | None = None, trial: bool = False, sensor_frame: str | None = None
+    path: str | Path,
+    topic: str | None = None,
+    trial: bool = False,
+    sensor_frame: str | None = None,
+    strict: bool = False,
 ) -> list[Finding]:
     """Look at a bag's topics and at every cloud of one topic (None: of all PointCloud2 topics).
 
     trial: register a few neighbouring scans as well; sensor_frame: where the sensor stands, by the bag's transforms, if
-    not at the origin of the clouds' frame. Raises InputError for a bag that cannot be read and for a topic
-    that it does not have.
+    not at the origin of the clouds' frame. Raises InputError for a bag that cannot be read (strict: or is damaged) and
+    for a topic that it does not have.
     """
-    with Bag(path) as bag:
+    with Bag(path, strict) as bag:
         names = [bag.resolve_cloud_topic(topic)] if topic else [info.name for info in bag.cloud_topics]
         findings = [_check_topic(info) for info in bag.topics]
         if not names:
-            return [*findings, _no_clouds(bag.topics)]
+            return [*findings, _no_clouds(bag.topics), *_damage(bag)]
         if len(names) > 1:
             advice = "svc_ros replay and the node take one of them, or one each for source and target: name it"
             findings.append(Finding("cloud topics", "ok", ", ".join(names), advice))
@@ -51,7 +54,11 @@ def check_bag(
         for name in names:
             notes = take_notes(bag, name, partial(_sensor_origin, tree, sensor_frame))
             findings += _check_cloud_topic(name, notes, tree, trial, sensor_frame)
-    return [*findings, *problem]
+        return [*findings, *problem, *_damage(bag)]  # more of it may be known now than before
+
+
+def _damage(bag: Bag) -> list[Finding]:
+    return [Finding("damage", "warn", str(damage), "what is intact is read; --strict refuses") for damage in bag.damage]
 
 
 def _no_clouds(topics: Iterable[TopicInfo]) -> Finding:

@@ -14,7 +14,7 @@ from rich.text import Text
 from svc_ros.cli.console import check_json_target, summary_console, working, write_json
 from svc_ros.cli.doctor.finding import Finding
 from svc_ros.cli.exit_codes import BAD_INPUT, print_error
-from svc_ros.cli.options import JsonOption, SensorOption
+from svc_ros.cli.options import JsonOption, SensorOption, StrictOption
 
 _LISTEN_S = 10.0
 _STYLES = {"ok": "green", "warn": "yellow", "error": "bold red"}
@@ -40,6 +40,7 @@ def doctor(
     seconds: SecondsOption = None,
     trial: TrialOption = True,
     json_target: JsonOption = None,
+    strict: StrictOption = False,
 ) -> None:
     """Say what is installed and missing, or what is odd about a bag or a live topic, which preset fits, what to do.
 
@@ -48,6 +49,8 @@ def doctor(
     for option, value in (("--topic", topic), ("--sensor-frame", sensor_frame)):
         if value is not None and bag is None:
             raise typer.BadParameter(f"{option} belongs to a BAG")
+    if strict and bag is None:
+        raise typer.BadParameter("--strict belongs to a BAG")
     if live is None and seconds is not None:
         raise typer.BadParameter("--seconds belongs to --live")
     if live is not None and bag is not None:
@@ -60,7 +63,7 @@ def doctor(
         if live is not None:
             findings = check_topic(live, seconds or _LISTEN_S, trial)
         else:
-            findings = check_installation() if bag is None else check_bag(bag, topic, trial, sensor_frame)
+            findings = check_installation() if bag is None else check_bag(bag, topic, trial, sensor_frame, strict)
     num_errors = sum(finding.level == "error" for finding in findings)
     write_json({"num_errors": num_errors, "findings": [dataclasses.asdict(f) for f in findings]}, json_target)
     summary_console(json_target).print(_findings_table(str(live or bag or "this machine"), findings))

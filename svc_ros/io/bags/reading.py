@@ -1,46 +1,38 @@
 """Scans and transforms from recorded bags: ROS 1 (.bag) and ROS 2 (folder, .mcap, .db3), with no ROS installed.
 
-Every failure of a bag, whatever library noticed it, is an InputError of one line that names the file and the cause.
+A damaged bag is read as far as it is intact, and tells its damage. What is no bag at all, whatever library noticed it,
+is an InputError of one line that names the file and the cause.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from svc_ros.core.errors import InputError, MissingDependencyError, SvcError
+from svc_ros.core.errors import InputError
 from svc_ros.core.se3 import Array, make_pose
+from svc_ros.io.bags.channels import Channel, Damage
+from svc_ros.io.bags.decoding import UnreadableMessageError, decode
+from svc_ros.io.bags.opening import OpenParts
 from svc_ros.io.bags.result_writer import ResultWriter
 from svc_ros.io.bags.writers import CloudBagWriter
+from svc_ros.io.clouds.livox import LIVOX_TYPES
 from svc_ros.io.clouds.point_cloud2 import CLOUD_TYPE, CloudReading, scan_from_cloud
 from svc_ros.io.stamps import ns_from_stamp
 from svc_ros.io.transforms import TransformTree
 
-if TYPE_CHECKING:
-    from rosbags.highlevel import AnyReader
-
-__all__ = ["Bag", "CloudBagWriter", "ResultWriter", "TopicInfo", "UnreadableCloud", "pose_from_message"]
+__all__ = ["Bag", "CloudBagWriter", "Damage", "ResultWriter", "TopicInfo", "UnreadableCloud", "pose_from_message"]
 
 _TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _TF_TOPICS = {"tf": False, "tf_static": True}  # name -> holds static transforms
 _QUATERNION_TOLERANCE = 0.01  # of its length, as tf2 has it
-_STORAGE_SUFFIXES = (".mcap", ".db3")
-_CLEARER = {  # how the reader words it -> what it means
-    "end magic": "it is truncated, or its recording was not closed",
-    "index looks damaged": "it is truncated, or its index is damaged",
-    "not indexed": "its recording was not closed (`rosbag reindex` repairs that)",
-    "File magic is invalid": "it is no bag",
-    "seems to be empty": "it is empty",
-    "Unrecognized storage format": "expected a .bag, .mcap or .db3 file or a ROS 2 bag folder",
-    "missing tables": "it is empty or no ROS 2 recording",
-}
+_CLOUD_TYPES = frozenset({CLOUD_TYPE, *LIVOX_TYPES})
 
 
 @dataclass(frozen=True)
@@ -66,42 +58,53 @@ class Bag:
     """A recording, open between `with` and its end.
 
     paths: one ROS 2 folder, one .mcap or .db3 file, or one or several ROS 1 .bag files that were split. Compression
-    of files and of messages is undone on the way. Raises InputError from `with` on for whatever is no complete bag.
+    of files and of messages is undone on the way. A folder needs no metadata.yaml. What is cut, was not closed or is
+    damaged is read as far as it is intact: see `damage`; a file without an index is gone through once, from `with` on.
+    strict: damage is refused with InputError, whenever it is found.
+
+    Raises InputError from `with` on for what is no bag, and for one of which no message is intact.
     """
 
-    def __init__(self, paths: str | Path | Sequence[str | Path]) -> None:
+    def __init__(self, paths: str | Path | Sequence[str | Path], strict: bool = False) -> None:
         given = [paths] if isinstance(paths, str | Path) else list(paths)
-        self.paths = [Path(path) for path in given]
+        self.paths, self.strict = [Path(path) for path in given], strict
         self._name = ", ".join(str(path) for path in self.paths) or "bag"
-        self._reader: AnyReader | None = None
+        self._parts: OpenParts | None = None
+        self._damage: list[Damage] = []
 
     def __enter__(self) -> Bag:
-        for path in self.paths:
-            _check_bag_path(path)
-        any_reader, store = _reader_and_types()
-        with self._errors_named():
-            reader = any_reader(self.paths, default_typestore=store)
-            reader.open()
-        self._reader = reader
+        if not self.paths:
+            raise InputError("bag: expected at least one path, found none")
+        self._parts = OpenParts(self.paths, self.strict, (*_CLOUD_TYPES, *_TF_TYPES))
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        reader, self._reader = self._reader, None
-        if reader is not None:
-            reader.close()
+        parts, self._damage, self._parts = self._parts, self.damage, None
+        if parts is not None:
+            parts.close()
+
+    @property
+    def damage(self) -> list[Damage]:
+        """What is cut or damaged, a file each, as far as it is known: a damaged chunk is found when it is read."""
+        return self._damage if self._parts is None else self._parts.damage
 
     @property
     def topics(self) -> list[TopicInfo]:
         """All recorded topics, by name."""
-        found = sorted(self._open_reader().topics.items())
-        return [TopicInfo(name, info.msgtype or "", info.msgcount) for name, info in found]
+        found: dict[str, list[Channel]] = {}
+        for channel in sorted(self._open_parts().channels(), key=lambda channel: channel.topic):
+            found.setdefault(channel.topic, []).append(channel)
+        return [
+            TopicInfo(name, _only({c.type for c in channels}), sum(c.num_messages for c in channels))
+            for name, channels in found.items()
+        ]
 
     @property
     def cloud_topics(self) -> list[TopicInfo]:
-        """The topics of type PointCloud2."""
-        return [topic for topic in self.topics if topic.type == CLOUD_TYPE]
+        """The topics of type PointCloud2, or of Livox' own."""
+        return [topic for topic in self.topics if topic.type in _CLOUD_TYPES]
 
     def resolve_cloud_topic(self, topic: str | None = None) -> str:
         """The name of the topic to read: the one asked for, or the only one with clouds.
@@ -113,12 +116,14 @@ class Bag:
             if len(clouds) == 1:
                 return clouds[0]
             found = f"several ({', '.join(clouds)}): name one" if clouds else f"none among {self._listed_topics()}"
-            raise InputError(f"{self._name}: expected one topic of type {CLOUD_TYPE}, found {found}")
+            told = self._damage_told()
+            raise InputError(f"{self._name}: expected one topic of type {CLOUD_TYPE}, found {found}{told}")
         wanted = topic.lstrip("/")
         match = next((info for info in self.topics if info.name.lstrip("/") == wanted), None)
         if match is None:
-            raise InputError(f"{self._name}: no topic {topic!r} (topics: {self._listed_topics()})")
-        if match.type != CLOUD_TYPE:
+            told = self._damage_told()
+            raise InputError(f"{self._name}: no topic {topic!r} (topics: {self._listed_topics()}){told}")
+        if match.type not in _CLOUD_TYPES:
             raise InputError(
                 f"{self._name}: topic {match.name!r}: expected {CLOUD_TYPE}, found {match.type or 'several types'} "
                 f"(clouds: {', '.join(clouds) or 'none'})"
@@ -133,18 +138,18 @@ class Bag:
     @property
     def span_ns(self) -> tuple[int, int]:
         """Times [ns] at which the first and the last message of the bag were recorded; (0, -1) without messages."""
-        reader = self._open_reader()
-        if reader.message_count == 0:
-            return 0, -1
-        return reader.start_time, reader.end_time - 1  # the reader tells the first time after it
+        spans = [part.span_ns for part in self._open_parts().parts]
+        held = [(first, last) for first, last in spans if first <= last]
+        return (min(first for first, _ in held), max(last for _, last in held)) if held else (0, -1)
 
     def raw_clouds(self, topic: str | None = None, span_ns: tuple[int, int] | None = None) -> Iterator[tuple[int, Any]]:
         """Yield (time [ns] at which it was recorded, PointCloud2) in the order of recording.
 
+        Livox' own messages come as what has the attributes of a PointCloud2. What is damaged is left out: see `damage`.
         span_ns: first and last time of recording that are wanted, both included.
         """
         name = self.resolve_cloud_topic(topic)
-        for _, bag_time_ns, message in self._messages([name], (CLOUD_TYPE,), span_ns):
+        for _, bag_time_ns, message in self._messages([name], _CLOUD_TYPES, span_ns):
             yield bag_time_ns, message
 
     def scans(
@@ -153,7 +158,7 @@ class Bag:
         """Yield every cloud as a scan with header stamp and frame, in the order of recording.
 
         A cloud that is no scan ends the iteration with InputError naming file, topic and index; with `on_error` it
-        is handed to that function instead, and the next one follows. Damage of the file itself always raises.
+        is handed to that function instead, and the next one follows. For damage of the file itself see `damage`.
         """
         name = self.resolve_cloud_topic(topic)
         for index, (_, message) in enumerate(self.raw_clouds(name)):
@@ -191,36 +196,29 @@ class Bag:
         yield from self._messages(names, _TF_TYPES)
 
     def _messages(
-        self, topics: list[str], types: tuple[str, ...], span_ns: tuple[int, int] | None = None
+        self, topics: Collection[str], types: Collection[str], span_ns: tuple[int, int] | None = None
     ) -> Iterator[tuple[str, int, Any]]:
-        reader = self._open_reader()
-        wanted = [c for c in reader.connections if c.topic in topics and c.msgtype in types]
-        if not wanted:  # the reader takes no connections for all of them
-            return
-        start, stop = (None, None) if span_ns is None else (span_ns[0], span_ns[1] + 1)
-        with self._errors_named():
-            for connection, bag_time_ns, raw in reader.messages(wanted, start, stop):
-                yield connection.topic, bag_time_ns, reader.deserialize(raw, connection.msgtype)
+        def wanted(channel: Channel) -> bool:
+            return channel.topic in topics and channel.type in types
 
-    def _open_reader(self) -> AnyReader:
-        if self._reader is None:
+        for part, channel, bag_time_ns, raw in self._open_parts().messages(wanted, span_ns):
+            try:
+                message = decode(channel, raw)
+            except UnreadableMessageError:
+                part.mark_unreadable(channel.topic, bag_time_ns)
+                continue
+            yield channel.topic, bag_time_ns, message
+
+    def _open_parts(self) -> OpenParts:
+        if self._parts is None:
             raise InputError(f"{self._name}: the bag is not open; use it in a `with` block")
-        return self._reader
+        return self._parts
+
+    def _damage_told(self) -> str:
+        return f"; {self.damage[0]}" if self.damage else ""
 
     def _listed_topics(self) -> str:
         return ", ".join(f"{info.name} [{info.type or 'several types'}]" for info in self.topics) or "none"
-
-    @contextmanager
-    def _errors_named(self) -> Iterator[None]:
-        """What the readers below raise has many types (storage, compression, typestore); a bag has one: InputError."""
-        try:
-            yield
-        except SvcError:
-            raise
-        except Exception as error:
-            words = " ".join(str(error).split()) or type(error).__name__
-            cause = next((clear for raw, clear in _CLEARER.items() if raw in words), words)
-            raise InputError(f"{self._name}: cannot be read as a bag: {cause}") from error
 
 
 def pose_from_message(transform: Any) -> Array:
@@ -233,19 +231,6 @@ def pose_from_message(transform: Any) -> Array:
     return make_pose(Rotation.from_quat(values[3:]).as_matrix(), values[:3])
 
 
-def _check_bag_path(path: Path) -> None:
-    if not path.exists():
-        raise InputError(f"{path}: bag not found")
-    if path.is_dir() and not (path / "metadata.yaml").exists():
-        inside = sorted(p.name for p in path.iterdir() if p.suffix in (*_STORAGE_SUFFIXES, ".bag"))
-        hint = f"; open {inside[0]} itself" if inside else ""
-        raise InputError(f"{path}: expected a ROS 2 bag folder with metadata.yaml, found none{hint}")
-
-
-def _reader_and_types() -> tuple[type[AnyReader], Any]:
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise MissingDependencyError("reading bags needs rosbags: pip install 'rosbags>=0.11'") from None
-    return AnyReader, get_typestore(Stores.ROS2_JAZZY)
+def _only(names: set[str]) -> str:
+    """The one name; empty where there are several."""
+    return next(iter(names)) if len(names) == 1 else ""

@@ -1,14 +1,19 @@
-"""Livox' own message, livox_ros_driver2/CustomMsg, as the PointCloud2 that everything else reads."""
+"""Livox' own message, CustomMsg of both of its drivers, as the PointCloud2 that everything else reads."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
-from svc_ros.io.clouds.cdr import CdrHeader, CdrReader
+import numpy as np
+from numpy.typing import NDArray
+
+from svc_ros.io.clouds.cdr import CdrReader
 from svc_ros.io.clouds.point_cloud2 import CLOUD_TYPE, CloudField
 
 LIVOX_TYPE = "livox_ros_driver2/msg/CustomMsg"
 CLOUD_TYPES = frozenset({CLOUD_TYPE, LIVOX_TYPE})  # that the node takes
+LIVOX_TYPES = frozenset({LIVOX_TYPE, "livox_ros_driver/msg/CustomMsg"})  # that bags have
 NO_LIVOX_PACKAGE = (
     "its package is not found here: source the driver's workspace in this terminal, "
     "or set the driver's xfer_format to 0 (PointCloud2)"
@@ -17,7 +22,22 @@ NO_LIVOX_PACKAGE = (
 # A point takes 19 bytes and begins at a multiple of four, so the last one lacks the filler of the others. Counted from
 # the byte before the first point, all of them have 20, and nothing has to be copied.
 _BEFORE, _STEP = 1, 20
-_UINT8, _UINT32, _FLOAT32 = 2, 6, 7
+_UINT8, _UINT32, _FLOAT32, _FLOAT64 = 2, 6, 7, 8
+LIVOX_DEFINITIONS = {  # of every type of the drivers, where a bag has none
+    f"{package}/msg/{name}": text.format(package=package)
+    for package in sorted(kind.partition("/")[0] for kind in LIVOX_TYPES)
+    for name, text in (
+        (
+            "CustomPoint",
+            "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line\n",
+        ),
+        (
+            "CustomMsg",
+            "std_msgs/Header header\nuint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\n"
+            "{package}/CustomPoint[] points\n",
+        ),
+    )
+}
 _FIELDS = tuple(
     CloudField(name, _BEFORE + offset, datatype, 1)
     for name, offset, datatype in (
@@ -29,16 +49,16 @@ _FIELDS = tuple(
 
 @dataclass(frozen=True, eq=False)
 class LivoxCloud:
-    """The attributes of a PointCloud2; `data` looks into the message that it was read from."""
+    """The attributes of a PointCloud2; `data` looks into the message that it was read from, where it can."""
 
-    header: CdrHeader
+    header: Any
     width: int
     is_bigendian: bool
-    data: memoryview
+    data: memoryview | NDArray[np.uint8]
     height: int = 1
     fields: tuple[CloudField, ...] = _FIELDS
     point_step: int = _STEP
-    row_step: int = 0  # a single row
+    row_step: int = 0
     is_dense: bool = False
 
 
@@ -55,4 +75,25 @@ def cloud_from_cdr(data: bytes) -> LivoxCloud:
         reader.value(code)
     num_points = reader.value("I")
     points = memoryview(data)[reader.position - _BEFORE :] if num_points else memoryview(b"")
-    return LivoxCloud(header, num_points, reader.byte_order == ">", points)
+    return LivoxCloud(header, num_points, reader.byte_order == ">", points, row_step=_STEP * num_points)
+
+
+def cloud_from_points(message: Any) -> LivoxCloud:
+    """A CustomMsg of other fields than the driver's, an object a point: all that are numbers, by their names."""
+    points = message.points
+    names = [name for name, value in vars(points[0]).items() if isinstance(value, int | float)] if len(points) else []
+    columns = {name: np.array([getattr(point, name) for point in points]) for name in names}
+    kinds = {name: (_UINT32, "<u4") if _is_whole(column) else (_FLOAT64, "<f8") for name, column in columns.items()}
+    rows = np.empty(len(points), np.dtype([(name, code) for name, (_, code) in kinds.items()]))
+    fields, step = [], 0
+    for name, (datatype, code) in kinds.items():
+        rows[name] = columns[name]
+        fields.append(CloudField(name, step, datatype, 1))
+        step += np.dtype(code).itemsize
+    data = np.frombuffer(rows.tobytes(), np.uint8)
+    return LivoxCloud(message.header, len(rows), False, data, 1, tuple(fields), step, step * len(rows))
+
+
+def _is_whole(column: NDArray[Any]) -> bool:
+    """Whether times may be among these numbers: those have to stay whole, to be read as nanoseconds."""
+    return column.dtype.kind in "iu" and int(column.min()) >= 0 and int(column.max()) < 2**32
