@@ -143,6 +143,8 @@ def _revised(decision: StreamDecision, loop: HeldLoop, opinion: Opinion) -> Stre
 
 def _why(loop: HeldLoop, opinion: Opinion) -> str:
     others = f"{opinion.num_pieces} independent loop{'s' if opinion.num_pieces != 1 else ''}"
+    if loop.is_accepted and opinion.is_with_odometry:
+        return "confirmed by odometry over a short way"
     if loop.is_accepted:
         return f"confirmed by {others}" if opinion.num_pieces else "no longer contradicted by surer loops"
     speaks = {"odometry": opinion.is_contradicted, "surer loops": opinion.is_outweighed}

@@ -2,11 +2,14 @@
 
 Candidates come by odometry (where it says that the sensor stood near an earlier keyframe), by the look of the place
 (where odometry has drifted, or where there is none), or from outside. Each is judged in the same way: a pose that
-comes with it is verified, and if that is not accepted the two scans are registered globally.
+comes with it is verified, and if that is not accepted the two scans are registered globally. Where no keyframe is near
+the one behind the sensor may still be in sight. Odometry is good so far, so that its pose is verified, and no other is
+looked for.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
@@ -20,6 +23,7 @@ from svc_ros.core.registration import prepare, verify
 from svc_ros.core.result import RegistrationResult
 from svc_ros.core.scan import Array, Scan
 from svc_ros.io.trajectories import Trajectory
+from svc_ros.pipeline.agreeing.relations import IN_SIGHT
 from svc_ros.pipeline.agreement import Agreement
 from svc_ros.pipeline.decide import refused, register_pair
 from svc_ros.pipeline.keyframes import Keyframe, KeyframeStore
@@ -31,11 +35,13 @@ Judge = Callable[[Keyframe, Keyframe, Array | None, Config], RegistrationResult]
 
 @dataclass(frozen=True, eq=False)
 class LoopCandidate:
-    """An earlier keyframe that may show the same place. T_target_source: (4, 4), a guess, None where there is none."""
+    """An earlier keyframe that may show the same place. T_target_source: (4, 4), a guess, None where there is none;
+    is_behind: the sensor has just come from there, and its guess is all that is judged."""
 
     target: Keyframe
     T_target_source: Array | None
     origin: str
+    is_behind: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,16 +143,20 @@ class LoopCloser:
             return []
         this = Keyframe(prepare(scan, self._config), T_odom_scan, self._config)
         old = self._old_enough(this)
-        near = self._near(this, old)
-        candidates = near or self._similar(this, old)
+        reach_m = self._config.loop_closure.max_distance_m
+        near = self._near(this, old, reach_m)
+        behind = [] if near else self._near(this, old[-1:], IN_SIGHT * reach_m)
+        known = [candidate.target for candidate in near + behind]
+        others = [keyframe for keyframe in old if keyframe not in known]
+        candidates = near or [
+            *(dataclasses.replace(candidate, is_behind=True) for candidate in behind), *self._similar(this, others)
+        ]  # fmt: skip
         self._keyframes.add(this)
         if T_odom_scan is not None:
             self._poses[scan.stamp_ns] = T_odom_scan
         if not candidates:
             return []
-        known = [candidate.target for candidate in near]
-        others = [keyframe for keyframe in old if keyframe not in known] if near else []
-        return LoopQuestion(this, tuple(candidates), tuple(others))
+        return LoopQuestion(this, tuple(candidates), tuple(others if near else ()))
 
     def _answer(self, question: LoopQuestion) -> list[StreamDecision]:
         with question.keyframe.lent() as this:
@@ -169,8 +179,8 @@ class LoopCloser:
         gap_ns = round(1e9 * self._config.loop_closure.min_gap_s)
         return [k for k in self._keyframes if this.scan.stamp_ns - k.scan.stamp_ns >= gap_ns]
 
-    def _near(self, this: Keyframe, old: Iterable[Keyframe]) -> list[LoopCandidate]:
-        """The nearest of those keyframes by odometry."""
+    def _near(self, this: Keyframe, old: Iterable[Keyframe], reach_m: float) -> list[LoopCandidate]:
+        """The nearest of those keyframes by odometry, within that reach."""
         limits = self._config.loop_closure
         found: list[tuple[float, LoopCandidate]] = []
         for keyframe in old:
@@ -178,7 +188,7 @@ class LoopCloser:
                 continue
             T = se3.invert(keyframe.T_odom_scan) @ this.T_odom_scan
             distance = float(np.linalg.norm(T[:3, 3]))
-            if distance <= limits.max_distance_m:
+            if distance <= reach_m:
                 found.append((distance, LoopCandidate(keyframe, T, "odometry")))
         found.sort(key=lambda pair: pair[0])
         return [candidate for _, candidate in found[: limits.max_near]]
@@ -192,7 +202,10 @@ class LoopCloser:
 
     def _judge(self, this: Keyframe, candidate: LoopCandidate) -> StreamDecision:
         with candidate.target.lent() as lent:
-            result = self._judge_candidate(this, lent, candidate.T_target_source, self._config)
+            if candidate.is_behind and candidate.T_target_source is not None:
+                result = _verify(this, lent, candidate.T_target_source, self._config)
+            else:
+                result = self._judge_candidate(this, lent, candidate.T_target_source, self._config)
         source, target = this.scan, lent.scan
         return StreamDecision(
             result, source.stamp_ns, target.stamp_ns, source.frame_id, target.frame_id, this.T_odom_scan,
@@ -205,14 +218,23 @@ def judge_candidate(
 ) -> RegistrationResult:
     """Judge one candidate for a loop: its guess (4, 4) first, if it has one, then whatever registration finds.
 
-    Of two answers that are not accepted the one of the registration counts.
+    Of two answers that are not accepted the one of the registration counts, unless the guess is likely and it is not.
     """
-    wanted = config.loop_closure.min_probability
-    if T_target_source is not None:
-        verified = demand(verify(source.scan, target.scan, T_target_source, config), wanted)
-        if verified.accepted:
-            return verified
-    return demand(register_pair(source.features, target.features, config), wanted)
+    verified = None if T_target_source is None else _verify(source, target, T_target_source, config)
+    if verified is not None and verified.accepted:
+        return verified
+    registered = demand(register_pair(source.features, target.features, config), config.loop_closure.min_probability)
+    if verified is None or registered.accepted or not _is_likely(verified) or _is_likely(registered):
+        return registered
+    return verified
+
+
+def _verify(source: Keyframe, target: Keyframe, T_target_source: ArrayLike, config: Config) -> RegistrationResult:
+    return demand(verify(source.scan, target.scan, T_target_source, config), config.loop_closure.min_probability)
+
+
+def _is_likely(result: RegistrationResult) -> bool:
+    return result.probability is not None and result.probability >= 0.5
 
 
 def judge_scans(source: Scan, target: Scan, T_target_source: ArrayLike | None, config: Config) -> RegistrationResult:

@@ -237,8 +237,31 @@ def test_what_others_confirmed_stays_when_those_are_too_old_to_be_kept(monkeypat
 
 
 def test_neighbours_of_one_place_are_one_piece_of_evidence() -> None:
-    crowd = [loop(LENGTH + 10 + k, LENGTH - 10 - k, accepted=False, probability=0.5) for k in range(4)]
+    crowd = [loop(LENGTH + 20 + k, LENGTH - 20 - k, accepted=False, probability=0.5) for k in range(4)]
     assert accepted_pairs(told_of(crowd)) == set()
+
+
+def test_odometry_over_a_short_way_makes_a_likely_loop_accepted_where_it_says_the_same() -> None:
+    likely = loop(30, 10, accepted=False, probability=0.6)
+    told = told_of([likely])
+    assert [d.origin for d in told] == ["place", "agreement"]
+    assert (told[1].result.verdict, told[1].result.reason) == (Verdict.ACCEPTED, Reason.OK)
+    assert told[1].result.detail.startswith("confirmed by odometry")
+    np.testing.assert_array_equal(told[1].result.T_target_source, likely.result.best_candidate)
+
+
+@pytest.mark.parametrize("how", ["far", "unlikely", "elsewhere", "against surer loops"])
+def test_odometry_alone_makes_no_other_loop_accepted(how: str) -> None:
+    T_elsewhere = se3.invert(TRUTH[10]) @ TRUTH[30] @ pose(0.6)
+    this = {
+        "far": loop(36, 10, accepted=False, probability=0.6),
+        "unlikely": loop(30, 10, accepted=False, probability=0.45),
+        "elsewhere": loop(30, 10, T_elsewhere, accepted=False, probability=0.6),
+        "against surer loops": loop(30, 10, accepted=False, probability=0.6),
+    }[how]
+    surer = [loop(30 + k, 11 + k, se3.invert(TRUTH[11 + k]) @ TRUTH[30 + k] @ pose(-3.0)) for k in (0, 4, 8)]
+    told = told_of([*(surer if how == "against surer loops" else []), this])
+    assert pairs([this]).isdisjoint(accepted_pairs(told))
 
 
 def test_an_undecided_one_that_agrees_with_nothing_is_unconfirmed() -> None:

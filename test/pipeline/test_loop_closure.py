@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
@@ -21,6 +22,7 @@ from svc_ros.io.bags import Bag
 from svc_ros.io.datasets import read_dataset
 from svc_ros.io.results import result_to_json
 from svc_ros.io.trajectories import Trajectory, read_tum
+from svc_ros.pipeline import loop_closure
 from svc_ros.pipeline.loop_closure import LoopCloser, LoopQuestion, judge_scans
 from svc_ros.pipeline.stream import StreamDecision
 
@@ -87,6 +89,40 @@ def test_far_keyframes_are_no_candidates() -> None:
     values = {"loop_closure.max_distance_m": 0.3, "loop_closure.max_similar": 0}
     decisions = room_loops(LoopCloser(with_values(CONFIG, values)))
     assert [(d.source_stamp_ns // S, d.target_stamp_ns // S) for d in decisions] == [(7, 2), (8, 1), (9, 0)]
+
+
+@pytest.mark.parametrize(("error_m", "accepted"), [(0.1, True), (2.0, False)])
+def test_a_keyframe_behind_the_sensor_is_verified_at_the_pose_of_odometry(error_m: float, accepted: bool) -> None:
+    """Twenty metres along a corridor the probability of a pair is low, and a registration finds it turned around."""
+
+    def unwanted(*_: object) -> RegistrationResult:
+        raise AssertionError("a registration was asked for")
+
+    closer = LoopCloser(with_values(preset("lidar_indoor"), {"loop_closure.max_similar": 0}), unwanted)
+    (first, T_first), (last, T_last) = (scan_at(Place("indoor", "OS0-64", 1, way_m)) for way_m in (3.0, 23.0))
+    T_odom_last = T_last @ se3.make_pose(np.eye(3), (error_m, 0.0, 0.0))
+    assert closer.add(dataclasses.replace(first, stamp_ns=1 * S, frame_id="lidar"), T_first) == []
+    told = closer.add(dataclasses.replace(last, stamp_ns=22 * S, frame_id="lidar"), T_odom_last)
+    assert {d.origin for d in told[:1]} == {"odometry"}
+    assert told[-1].result.accepted is accepted
+    if accepted:
+        _, distance = se3.pose_error(told[-1].result.T_target_source, se3.invert(T_first) @ T_last)
+        assert distance < 0.3
+
+
+def test_a_registration_replaces_no_likely_guess_by_an_unlikely_pose(monkeypatch: pytest.MonkeyPatch) -> None:
+    likely, unlikely = (
+        RegistrationResult(Verdict.ACCEPTED if p > 0.5 else Verdict.UNDECIDED, Reason.OK, "svc", np.eye(4) if p > 0.5
+                           else None, np.eye(4), np.eye(6) if p > 0.5 else None, p)
+        for p in (0.7, 0.1)
+    )  # fmt: skip
+    monkeypatch.setattr(loop_closure, "register_pair", lambda *_: unlikely)
+    scans = [room_scan(k) for k in (0, 1)]
+    monkeypatch.setattr(loop_closure, "verify", lambda *_: likely)
+    found = judge_scans(*scans, np.eye(4), CONFIG)
+    assert (found.verdict, found.probability) == (Verdict.UNDECIDED, 0.7)
+    monkeypatch.setattr(loop_closure, "verify", lambda *_: unlikely)
+    assert judge_scans(*scans, np.eye(4), CONFIG) is unlikely
 
 
 def test_numbers_of_candidates_are_limits() -> None:

@@ -7,7 +7,7 @@ mostly left undecided, all of them; they would lift each other.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,13 +43,15 @@ class HeldLoop:
 
 @dataclass(frozen=True)
 class Opinion:
-    """num_pieces: how many independent loops agree; is_contradicted: by odometry; is_outweighed: by surer loops."""
+    """num_pieces: how many independent loops agree; is_contradicted: by odometry; is_outweighed: by surer loops;
+    is_with_odometry: odometry over a short way has confirmed what the pair alone left undecided."""
 
     is_accepted: bool
     log_odds: float
     num_pieces: int
     is_contradicted: bool
     is_outweighed: bool
+    is_with_odometry: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,19 +115,23 @@ class Weighing:
         """One that its pair left undecided, by the accepted ones that stand.
 
         It needs two independent loops that say the same of it, or one together with odometry and its own pair; closely,
-        for along a direction that is open it may have slid; and none that contradicts it.
+        for along a direction that is open it may have slid; and none that contradicts it. Over a short way odometry
+        alone does for a likely one: it fails rarely, and what says the same as it does no harm where it has failed.
         """
         speaks = np.zeros(len(self._loops), bool)
         speaks[sure] = relations.shift_m[i, sure] <= self._known_m
         support, is_outweighed = self._support(i, relations, speaks), bool(relations.contradicts[i, sure].any())
         is_likely = self._log_odds[i] >= 0.0 and not relations.by_odometry[i]
-        is_confirmed = (
-            not is_outweighed
-            and len(support.pieces) >= (1 if is_likely else _LEAST_PIECES)
-            and relations.is_pinned(i, support.pieces, sure, self._known_m)
+        is_told_apart = relations.is_told_apart(i, sure, self._known_m)
+        is_confirmed = len(support.pieces) >= (1 if is_likely else _LEAST_PIECES) and relations.is_pinned(
+            i, support.pieces, self._known_m
         )
-        odds = self._odds(i, relations, support)
-        return self._opinion(i, relations, support, odds if is_confirmed else -np.inf, is_outweighed)
+        is_with_odometry = bool(is_likely and relations.with_odometry[i] and not is_confirmed)
+        odds = self._odds(i, relations, support) - is_with_odometry * float(np.log(self._failure))
+        if is_outweighed or is_told_apart or not (is_confirmed or is_with_odometry):
+            odds = -np.inf
+        opinion = self._opinion(i, relations, support, odds, is_outweighed)
+        return replace(opinion, is_with_odometry=is_with_odometry)
 
     def _opinion(self, i: int, relations: Relations, support: _Support, odds: float, is_outweighed: bool) -> Opinion:
         """Accepted where the odds suffice; and where it was, with the help of loops that have gone since."""
