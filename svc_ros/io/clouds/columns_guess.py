@@ -17,6 +17,7 @@ from svc_ros.core.scan import Array
 from svc_ros.io.clouds.layout import KITTI, Layout
 
 NAME_THEM = "name them, as --columns x,y,z,intensity,ring does (`columns` in a dataset.json)"
+LARGEST_M = 1e7  # map coordinates are smaller, times since 1970 larger
 
 _NUM_COLUMNS = (3, 4, 5, 6)
 _MOST_COLUMNS = 16  # that are looked for, so that other layouts are known as such
@@ -25,7 +26,7 @@ _BLOCKS, _BLOCK_VALUES = 8, 2048  # of the file are looked at
 _MOST_BINS = 24
 _LEAST_BITS = 0.05  # that the place in the point has to tell about a value
 _SAME_BITS = 0.85  # of the most that any number of columns tells: a multiple of the right one tells some more
-_TINIEST, _LARGEST = 1e-6, 1e7  # [m] apart from zero: bytes of another type hardly ever lie between
+_TINIEST = 1e-6  # [m] apart from zero: bytes of another type hardly ever lie between this and the largest
 _MOST_ODD = 0.02  # share of such values in a coordinate
 _BOTH_SIGNS = 0.02  # share of either sign, above which a column has both
 _FEWEST_DISTINCT = 200  # values in a coordinate; labels, rings and 8 bit intensities have fewer or little more
@@ -108,7 +109,7 @@ def _are_halves(data: bytes) -> bool:
     """Whether every other float32 is the lower half of a float64: zero or of a size that lengths do not have."""
     words = np.frombuffer(data, "<f4", len(data) // 4)[::2]
     sample = np.abs(words[:: max(1, len(words) // _BLOCK_VALUES)].astype(np.float64))
-    return bool(((sample <= _TINIEST) | (sample > _LARGEST)).mean() > 0.5)
+    return bool(((sample <= _TINIEST) | (sample > LARGEST_M)).mean() > 0.5)
 
 
 def _repeats(rows: Array, num_columns: int) -> bool:
@@ -175,7 +176,7 @@ def _are_lengths(xyz: Array) -> bool:
     """Whether (N, 3) values may be metres: of usable size, and NaN in all three or none, but for a few."""
     finite = np.isfinite(xyz)
     sizes = np.abs(xyz[finite])
-    odd = ((sizes < _TINIEST) & (sizes > 0)) | (sizes > _LARGEST)
+    odd = ((sizes < _TINIEST) & (sizes > 0)) | (sizes > LARGEST_M)
     torn = finite.any(axis=1) & ~finite.all(axis=1)
     return bool(len(sizes) and odd.mean() <= _MOST_ODD and torn.mean() <= 0.5)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from svc_ros.core.errors import UnsupportedCloudError
 from svc_ros.io.clouds.columns import RawPoints, columns_from_text, xyz_places
-from svc_ros.io.clouds.columns_guess import NAME_THEM
+from svc_ros.io.clouds.columns_guess import LARGEST_M, NAME_THEM
 from svc_ros.io.clouds.layout import Layout
 
 _BLANKS = bytes.maketrans(b",;\t\"'\f", b"      ")
@@ -83,18 +83,23 @@ def _read_head(lines: Sequence[bytes], layout: Layout | None) -> _Head:
             continue
         if line.startswith(_COMMENTS):
             found = _names(line.lstrip("#/% "))
-            names = found if not told and all(found.count(name) == 1 for name in "xyz") else names
+            if not told and all(found.count(name) == 1 for name in "xyz"):
+                names = found
+                _check_units(line)
             continue
         values = raw.translate(_BLANKS).split()
         if count is None and len(values) == 1 and values[0].isdigit() and len(values[0]) < 20:
             count = int(values[0])
         elif told or any(map(_is_number, values[:3])):
+            if not told and names[:3] == ["x", "y", "z"] and len(names) != len(values):
+                names = []  # a remark; without names they are the first three, too
             return _Head(names, number, count, mark if mark in raw else b"")
         else:
             names, told = _names(line), True
             mark = next((mark for mark in (b";", b",") if mark in raw), b"")
             if layout is None:
-                _check_names(names, line)
+                xyz_places(names)
+                _check_units(line)
     raise UnsupportedCloudError("expected lines of numbers, found none")
 
 
@@ -123,8 +128,7 @@ def _names(line: str) -> list[str]:
     return [_OTHER_NAMES.get(name, name) for name in names]
 
 
-def _check_names(names: list[str], line: str) -> None:
-    xyz_places(names)
+def _check_units(line: str) -> None:
     for axis, unit in re.findall(r"\b([xyz])\W*?[\[(]\s*([^\])]*?)\s*[\])]", line, re.IGNORECASE):
         if unit.lower() not in _METRES:
             raise UnsupportedCloudError(f"expected metres, found {axis} in '{unit:.20}'")
@@ -158,10 +162,13 @@ def _wanted(head: _Head, layout: Layout | None, width: int) -> list[int]:
 
 
 def _check_unnamed(columns: Sequence[np.ndarray], width: int, body: Sequence[bytes]) -> None:
-    """Refuse two ways in which the first three columns are not x, y and z."""
+    """Refuse three ways in which the first three columns are not x, y and z."""
     first = columns[0]
     if len(first) > 2 and np.array_equal(first - first[0], np.arange(len(first))) and first[0] in (0, 1):
         raise UnsupportedCloudError(f"expected x, y, z first, found the number of the line; {NAME_THEM}")
+    beyond = float(np.mean([np.abs(column) > LARGEST_M for column in columns]))
+    if beyond > 0.1:
+        raise UnsupportedCloudError(f"expected x, y, z in metres first, found values beyond {LARGEST_M:g}; {NAME_THEM}")
     looked_at = [line for line in body[:_LOOKED_AT] if line.strip()]
     whole = all(_WHOLE_NUMBER.fullmatch(part.strip()) for line in looked_at for part in line.split(b","))
     if width >= 6 and width % 2 == 0 and whole:
