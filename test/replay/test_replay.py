@@ -42,11 +42,11 @@ def write_room_bag(path: Path, order: tuple[int, ...], in_base: bool = False) ->
 class DamagedBag(Bag):
     """A bag of which some clouds are changed on the way: index -> fields to replace."""
 
-    damage: dict[int, dict[str, Any]]
+    changes: dict[int, dict[str, Any]]
 
     def raw_clouds(self, topic: str | None = None, span_ns: tuple[int, int] | None = None) -> Iterator[tuple[int, Any]]:
         for k, (stamp, msg) in enumerate(super().raw_clouds(topic, span_ns)):
-            yield stamp, dataclasses.replace(msg, **self.damage.get(k, {}))
+            yield stamp, dataclasses.replace(msg, **self.changes.get(k, {}))
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +97,7 @@ def test_features_are_computed_once_a_scan(bag_path, monkeypatch):
 )
 def test_a_bad_cloud_rejects_its_two_pairs_and_no_other(bag_path, damage, reason):
     bag = DamagedBag(bag_path)
-    bag.damage = {1: damage}
+    bag.changes = {1: damage}
     with bag:
         pairs = list(replay_pairs(bag, "/points", CONFIG))
     assert [(p.source_index, p.target_index) for p in pairs] == [(1, 0), (2, 1), (3, 2)]

@@ -69,11 +69,10 @@ def _recorded_types(name: str, definition: str, is_idl: bool) -> Typestore | Non
         return None
     store, line = get_typestore(Stores.EMPTY), "=" * 80 + "\n"
     try:
-        if not is_idl:
-            store.register(get_types_from_msg(definition, name))
-        for text in definition.split(line) if is_idl else ():
-            if text.strip():
-                store.register(get_types_from_idl(text.partition("\n")[2] if text.startswith("IDL: ") else text))
+        types = {} if is_idl else get_types_from_msg(definition, name)
+        for text in filter(str.strip, definition.split(line) if is_idl else ()):
+            types |= get_types_from_idl(text.partition("\n")[2] if text.startswith("IDL: ") else text)
+        store.register(types)
         return store if name in store.fielddefs else None
     except Exception:  # of its parser, of its grammar, of the code that it writes
         return None

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import lz4.frame
+import lz4.frame  # type: ignore[import-untyped]
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -48,7 +48,7 @@ def decompress(data: bytes, compression: str, most: int) -> bytes:
             elif not piece and decoder.needs_input:
                 break
     except Exception as error:  # each library has its own
-        raise ValueError(f"no {compression}") from error
+        raise ValueError(f"what it holds is no {compression}") from error
     return b"".join(parts)
 
 

@@ -40,7 +40,8 @@ def find_recording(path: Path) -> Recording:
     metadata, inside = path / METADATA, storage_files(path)
     if not metadata.exists():
         if not inside:
-            raise InputError(f"{path}: expected a ROS 2 bag folder with .mcap or .db3 files, found none{_hint(path)}")
+            expected = "expected a ROS 2 bag folder with metadata.yaml, .mcap or .db3 files"
+            raise InputError(f"{path}: {expected}, found none{_hint(path)}")
         return Recording(inside)
     try:
         named, recorded = _read(metadata)

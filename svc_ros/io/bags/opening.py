@@ -115,7 +115,7 @@ class OpenParts:
 
     def _on_damage(self) -> None:
         if self._raises and (damage := self.damage):
-            raise InputError(f"{damage[0]}; refused, because damage is to be (strict)")
+            raise InputError(f"{damage[0]}; refused, as strict demands")
 
     def _check_not_all_is_lost(self, paths: Sequence[Path]) -> None:
         held = Counter({channel.topic: 0 for channel in self.channels()})

@@ -88,9 +88,9 @@ class Found:
 
     def select(self, ids: Collection[int], first_ns: int, last_ns: int) -> Iterator[tuple[int, int, Place]]:
         """Channel, time [ns] and place of messages by time, those of one time as they lie in the file."""
-        times, channels, *_ = (np.array(row, np.int64) for row in self._rows)
+        times, channels = (np.array(row, np.int64) for row in self._rows[:2])
         wanted = np.flatnonzero(np.isin(channels, list(ids)) & (times >= first_ns) & (times <= last_ns))
-        _, _, blocks, offsets, lengths = self._rows
+        blocks, offsets, lengths = self._rows[2:]
         for row in wanted[np.argsort(times[wanted], kind="stable")].tolist():
             yield int(channels[row]), int(times[row]), Place(blocks[row], offsets[row], lengths[row])
 

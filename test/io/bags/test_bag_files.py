@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sqlite3
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,6 +18,8 @@ from rosbags.typesys import get_types_from_msg
 
 from svc_ros.core.errors import InputError
 from svc_ros.io.bags import Bag
+from svc_ros.io.bags.channels import Channel
+from svc_ros.io.bags.decoding import UnreadableMessageError, decode
 from svc_ros.io.bags.files import is_bag_folder
 
 
@@ -26,7 +29,6 @@ def edited(path: Path, edit: Callable[[str], str]) -> Path:
     return path
 
 
-@pytest.mark.parametrize("storage", ["mcap", "db3"])
 @pytest.mark.parametrize(
     "edit",
     [
@@ -37,8 +39,8 @@ def edited(path: Path, edit: Callable[[str], str]) -> Path:
         lambda text: re.sub(r"duration:\n    nanoseconds: .*", "duration: {}", text),
     ],
 )
-def test_files_tell_what_they_are(tmp_path: Path, storage: str, edit: Callable[[str], str]) -> None:
-    assert seconds_read(edited(record(tmp_path / "drive", storage, three_clouds), edit)) == ([0, 1, 2], [])
+def test_files_tell_what_they_are(tmp_path: Path, edit: Callable[[str], str]) -> None:
+    assert seconds_read(edited(record(tmp_path / "drive", "db3", three_clouds), edit)) == ([0, 1, 2], [])
 
 
 @pytest.mark.parametrize("storage", ["mcap", "db3", "mcap_file_zstd", "mcap_message_zstd"])
@@ -174,3 +176,12 @@ def test_an_mcap_without_chunks_may_be_in_any_order_and_of_any_profile(tmp_path:
             writer.add_message(channel, stamp, data, stamp)
         writer.finish()
     assert seconds_read(path) == ([0, 1, 2], [])
+
+
+@pytest.mark.parametrize("head", ["", "=" * 80 + "\nIDL: their_msgs/msg/Height\n"])
+def test_definitions_in_idl(head: str) -> None:
+    text = f"{head}module their_msgs {{ module msg {{ struct Height {{ double z; }}; }}; }};\n"
+    channel = Channel(1, "/height", "their_msgs/msg/Height", text, is_idl=True)
+    assert decode(channel, b"\0\1\0\0" + struct.pack("<d", 2.5)).z == 2.5
+    with pytest.raises(UnreadableMessageError, match="/height"):
+        decode(channel, b"\0\1\0\0\0")

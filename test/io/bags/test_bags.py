@@ -166,7 +166,7 @@ def no_bag(tmp_path: Path, kind: str) -> Path:
         (".mcap stump", r"drive\.mcap: the file ends after 60 bytes in the middle of a chunk; .* no message"),
         (".db3 stump", r"drive\.db3: cannot be read as a bag: .*: the file ends after 60 bytes"),
         ("folder empty", r"drive\.mcap: cannot be read as a bag: it is empty"),
-        ("folder of nothing", r"drive: expected a ROS 2 bag folder with \.mcap or \.db3 files, found none"),
+        ("folder of nothing", r"drive: expected a ROS 2 bag folder with metadata\.yaml, \.mcap or \.db3 files"),
         ("folder without storage", r"metadata\.yaml: expected the files that it names, found none.*: drive\.mcap"),
     ],
 )

@@ -41,7 +41,7 @@ def file_of(path: Path) -> Path:
 
 
 @pytest.mark.parametrize("storage", ["mcap", "ros1"])
-@pytest.mark.parametrize("share", [0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.97])
+@pytest.mark.parametrize("share", [0.4, 0.55, 0.7, 0.85, 0.97])
 def test_a_cut_bag_gives_every_cloud_before_the_cut(tmp_path: Path, storage: str, share: float) -> None:
     path = record(tmp_path / "drive", storage, three_clouds)
     file = file_of(path)
@@ -126,7 +126,8 @@ def test_a_damaged_chunk_of_ros1_is_lost_and_counted(tmp_path: Path, compression
     start, length = chunk_places(path)[2]
     read, told = seconds_read(overwrite(path, start + 60, length // 2))
     assert read == [0, 1, 3, 4, 5]
-    assert f"5 of 6 messages of /points read; the chunk at byte {start} is damaged: no {compression}" in told[0]
+    cause = f"the chunk at byte {start} is damaged: what it holds is no {compression}"
+    assert f"5 of 6 messages of /points read; {cause}" in told[0]
 
 
 @pytest.mark.parametrize("suffix", ["mcap", "bag"])
@@ -149,7 +150,7 @@ def test_a_tail_of_zeros_is_no_message_and_no_index(tmp_path: Path) -> None:
     read, told = seconds_read(overwrite(path, data_at, path.stat().st_size - data_at, 0))
     assert read == [0, 1, 2, 3]
     assert "4 messages of /points read; " in told[0]
-    assert f"bytes from byte {chunk_places(path)[5][0]} on are damaged" in told[0]
+    assert re.search(r"its \d+ bytes from byte \d+ on are damaged", told[0])
 
 
 def test_zeros_in_a_chunk_without_checksum_are_no_silence(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from svc_ros.io.bags import Bag
 # Samples have 3 to 29 kB. What a header claims may be gigabytes, and is not taken; this is for libraries.
 MOST_BYTES = 64 << 20
 NUM_QUICK = {  # variants of a format that was tried share its code
-    "mcap": 100, "db3": 100, "ros1": 100, "mcap_chunk_zstd": 40, "ros1_lz4": 40, "mcap_file_zstd": 20,
+    "mcap": 100, "db3": 100, "ros1": 100, "mcap_chunk_zstd": 20, "ros1_lz4": 20, "mcap_file_zstd": 20,
     "mcap_message_zstd": 20,
 }  # fmt: skip
 
