@@ -50,7 +50,7 @@ REASON_TEXTS: Mapping[Reason, ReasonText] = MappingProxyType({
     ),
     Reason.TOO_FEW_POINTS: ReasonText(
         "too few points after range crop and voxel grid",
-        "check preprocess.min_range_m, preprocess.max_range_m, preprocess.voxel_size_m",
+        "go by the detail; check preprocess.min_range_m, preprocess.max_range_m, preprocess.voxel_size_m",
     ),
     Reason.UNSUPPORTED_CLOUD: ReasonText(
         "the cloud cannot be read; the detail says what was expected and found",
