@@ -18,6 +18,7 @@ from svc_ros.pipeline.keyframes import Keyframe
 from svc_ros.pipeline.neighbours import (
     KeyframeMap,
     Placed,
+    is_of_one_wall,
     is_same_place,
     judge_among_neighbours,
     nowhere,
@@ -182,9 +183,10 @@ class Localiser:
         return placed
 
     def _is_contradicted(self, predicted: Placed) -> bool:
-        """Whether the scan shows another place than odometry leads to; what hardly overlaps the map shows none."""
+        """Whether the scan shows another place than odometry leads to; what shows one wall shows none."""
         is_elsewhere = predicted.result.verdict is Verdict.REJECTED and len(self._waiting) > 0
-        return is_elsewhere or predicted.is_denied or (predicted.is_moved and shows_enough(predicted, self._config))
+        is_beside = predicted.is_moved and not is_of_one_wall(predicted, self._config)
+        return is_elsewhere or predicted.is_denied or is_beside
 
     def _is_overdue(self, stamp_ns: int) -> bool:
         assert self._confirmed is not None
@@ -208,7 +210,8 @@ class Localiser:
             if not is_same_place(T_map_told, predicted, self._config, drift_m):
                 return _refuted(told, T_map_told, predicted)
             wanted = self._config.localization.min_probability
-        if told.result.verdict is Verdict.REJECTED and not shows_enough(told, self._config):
+        is_little = told.result.reason is Reason.LOW_OVERLAP or not shows_enough(told, self._config)
+        if told.result.verdict is Verdict.REJECTED and is_little:
             why = "what hardly overlaps the map is not wrong for that"
             return dataclasses.replace(told, result=leave_undecided(told.result, Reason.INSUFFICIENT_EVIDENCE, why))
         return dataclasses.replace(told, result=demand(told.result, wanted))

@@ -12,7 +12,6 @@ import numpy as np
 
 from svc_ros.core import se3
 from svc_ros.core.config import Config
-from svc_ros.core.decision import measure_margins
 from svc_ros.core.registration import verify
 from svc_ros.core.result import Reason, RegistrationResult, Verdict
 from svc_ros.core.scan import Array, IndexArray, PreparedScan
@@ -135,9 +134,20 @@ def is_same_place(T_map_scan: Array, other: Array, config: Config, drift_m: floa
 
 
 def shows_enough(look: Placed, config: Config) -> bool:
-    """Whether so much of the scan was seen, and not one wall alone, that a verdict against its pose tells something."""
+    """Whether so much of the scan was seen that a verdict against its pose tells something."""
     evidence = look.result.evidence
-    return evidence is not None and measure_margins(evidence, config.decision).overlap > 0.0
+    if evidence is None or evidence.oriented_overlap_ratio < config.decision.min_oriented_overlap:
+        return False
+    return look.is_denied or not is_of_one_wall(look, config)
+
+
+def is_of_one_wall(look: Placed, config: Config) -> bool:
+    """Whether the scan shows hardly more than one wall: that a different pose fits better tells nothing then."""
+    if look.scans is None:
+        return True
+    normals = look.scans[0].normals
+    structure = np.linalg.eigvalsh(normals.T @ normals / max(len(normals), 1))[1]  # 0 of one wall, 1/3 of any three
+    return bool(structure * config.decision.min_oriented_overlap < config.decision.min_constraint)
 
 
 def _spread_out(T_map_scan: Array, keyframes: KeyframeMap, config: Config) -> list[int]:

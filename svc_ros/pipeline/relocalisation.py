@@ -25,7 +25,7 @@ from svc_ros.pipeline.neighbours import KeyframeMap, Placed, is_same_place, judg
 _LOOKED_THROUGH = 8  # times the wanted keyframes, for those far from each other
 DRIFT = 0.02  # odometry's error grows by so much for each metre
 _MOST = 8  # places that wait at once
-_CHANCE = 2000.0  # a search looks at so many poses: by what it denies, a scan has to be so sure to settle one alone
+_CHANCE = math.log(2000.0)  # odds against: a search looks at so many poses, and finds one of them by chance
 
 
 def find_in_map(this: Keyframe, keyframes: KeyframeMap, guesses: Iterable[Array], config: Config) -> list[Placed]:
@@ -82,12 +82,13 @@ def _registered(this: Keyframe, keyframes: KeyframeMap, index: int, config: Conf
 
 @dataclass(eq=False)
 class _Place:
-    """Where the sensor may be. T_map_odom: (4, 4); latest: what the last scan that said so made of it; agreeing,
-    denying: numbers of the kept scans that say so and that deny it; num_silent: scans since one said so."""
+    """Where the sensor may be. T_map_odom: (4, 4); latest: what the last scan that said so made of it; agreeing:
+    numbers of the kept scans that say so, and the log odds of what they deny; denying: numbers of those that deny it;
+    num_silent: scans since one said so."""
 
     T_map_odom: Array
     latest: Placed
-    agreeing: set[int] = field(default_factory=set)
+    agreeing: dict[int, float] = field(default_factory=dict)
     denying: set[int] = field(default_factory=set)
     num_silent: int = 0
 
@@ -95,6 +96,11 @@ class _Place:
     def balance(self) -> int:
         """How many more of the kept scans agree than deny."""
         return len(self.agreeing) - len(self.denying)
+
+    @property
+    def odds(self) -> float:
+        """Log odds by what is denied, of the kept scans that agree, in the mean."""
+        return sum(self.agreeing.values()) / max(len(self.agreeing), 1)
 
 
 class WaitingPlaces:
@@ -154,7 +160,9 @@ class WaitingPlaces:
         # The others were judged by the same scans: one that most of these do not know is no rival.
         near = first.balance - limits.agreeing_scans + 1
         rivals = [place for place in others if place.num_silent == 0 or place.balance > near]
-        if first.num_silent == 0 and first.balance >= limits.agreeing_scans and not rivals:
+        is_agreed = first.num_silent == 0 and first.balance >= limits.agreeing_scans and not rivals
+        # What looks like the place looks so to the next scan, too: they count as the root of their number.
+        if is_agreed and math.sqrt(limits.agreeing_scans) * first.odds >= _CHANCE:
             return first.latest, False
         is_found = any(is_same_place(first.latest.T_map_scan, p.T_map_scan, self._config) for p in found)
         is_alone = is_found and not others and not first.denying and self._is_sure(first.latest)
@@ -179,12 +187,12 @@ class WaitingPlaces:
             oldest = min(self._scans)
             del self._scans[oldest]
             for place in self._places:
-                place.agreeing.discard(oldest)
+                place.agreeing.pop(oldest, None)
                 place.denying.discard(oldest)
 
     def _new(self, placed: Placed, this: Keyframe) -> _Place:
         """A place that a scan has found, as the scans before see it."""
-        place = _Place(placed.T_map_scan @ se3.invert(_odom(this)), placed, {self._spot})
+        place = _Place(placed.T_map_scan @ se3.invert(_odom(this)), placed, {self._spot: self._odds(placed)})
         for number, earlier in self._scans.items():
             if number == self._spot:
                 continue
@@ -192,22 +200,25 @@ class WaitingPlaces:
             if judged.is_denied:
                 place.denying.add(number)
             elif self._counts(judged):
-                place.agreeing.add(number)
+                place.agreeing[number] = self._odds(judged)
         return place
 
     def _counts(self, placed: Placed) -> bool:
         return placed.result.accepted and placed.probability >= self._config.localization.min_probability
 
     def _is_sure(self, placed: Placed) -> bool:
-        evidence, limits = placed.result.evidence, self._config.localization
-        if evidence is None or placed.probability < limits.sure_probability:
-            return False
-        return measure_margins(evidence, self._config.decision).seen >= math.log(_CHANCE)
+        is_probable = placed.probability >= self._config.localization.sure_probability
+        return is_probable and self._odds(placed) >= _CHANCE
+
+    def _odds(self, placed: Placed) -> float:
+        """Log odds of a judged pose by what is denied; unlike its probability these do not end where overlap does."""
+        evidence = placed.result.evidence
+        return 0.0 if evidence is None else measure_margins(evidence, self._config.decision).seen
 
     def _support(self, place: _Place, placed: Placed, this: Keyframe) -> None:
         place.T_map_odom = placed.T_map_scan @ se3.invert(_odom(this))
         place.latest, place.num_silent = placed, 0
-        place.agreeing.add(self._spot)
+        place.agreeing[self._spot] = self._odds(placed)
         place.denying.discard(self._spot)
 
     def _is_same(self, place: _Place, placed: Placed, this: Keyframe) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import cast
 
 import numpy as np
+from decision_rows import evidence
 
 from svc_ros.core import se3
 from svc_ros.core.config import preset
@@ -18,21 +19,24 @@ CONFIG = preset("lidar_indoor")  # three scans, a metre apart
 HERE, THERE = (se3.make_pose(np.eye(3), (x, 0.0, 0.0)) for x in (0.0, 50.0))
 
 
-def judged(T: Array, verdict: Verdict, reason: Reason = Reason.OK) -> Placed:
+def judged(T: Array, verdict: Verdict, reason: Reason = Reason.OK, denied: float = 0.002) -> Placed:
     probability = 0.9 if verdict is Verdict.ACCEPTED else 0.1
     found = T if verdict is Verdict.ACCEPTED else None
-    return Placed(RegistrationResult(verdict, reason, "svc", found, T, probability=probability), T, 0)
+    result = RegistrationResult(verdict, reason, "svc", found, T, probability=probability, evidence=evidence(denied))
+    return Placed(result, T, 0)
 
 
-def accepted(T: Array) -> Placed:
-    return judged(T, Verdict.ACCEPTED)
+def accepted(T: Array, denied: float = 0.002) -> Placed:
+    return judged(T, Verdict.ACCEPTED, denied=denied)
 
 
 class Run:
     """A drive along x, a scan each 1.1 m. `accept`, `deny`: for HERE and THERE the scans that do so."""
 
-    def __init__(self, accept: dict[str, set[int]], deny: dict[str, set[int]] | None = None) -> None:
-        self.accept, self.deny = accept, deny or {}
+    def __init__(
+        self, accept: dict[str, set[int]], deny: dict[str, set[int]] | None = None, denied: float = 0.002
+    ) -> None:
+        self.accept, self.deny, self.denied_share = accept, deny or {}, denied
         self.places = WaitingPlaces(CONFIG, self.judge)
         self.way: list[Array] = []
 
@@ -41,7 +45,7 @@ class Run:
         k = next(k for k, T in enumerate(self.way) if np.array_equal(T, this.T_odom_scan))
         name = "there" if T_map_scan[0, 3] > 25.0 else "here"
         if k in self.accept[name]:
-            return accepted(T_map_scan)
+            return accepted(T_map_scan, self.denied_share)
         if k in self.deny.get(name, set()):
             return judged(T_map_scan, Verdict.REJECTED, Reason.SIGHT_VIEW_BLOCKED)
         return judged(T_map_scan, Verdict.UNDECIDED, Reason.INSUFFICIENT_EVIDENCE)
@@ -52,10 +56,10 @@ class Run:
         self.way.append(T_odom_scan)
         this = Keyframe(cast("PreparedScan", None), T_odom_scan, CONFIG)
         self.places.ask(this)
-        poses = [accepted(place @ T_odom_scan) for place in found]
+        poses = [accepted(place @ T_odom_scan, self.denied_share) for place in found]
         self.places.add(poses, this)
         settled = self.places.settled(poses)
-        assert settled is None or not settled[1]  # without evidence none is sure alone
+        assert settled is None or not settled[1]  # none is sure alone
         return None if settled is None else settled[0]
 
 
@@ -120,3 +124,10 @@ def test_what_was_seen_long_ago_counts_no_more() -> None:
     for _ in range(8):
         assert run.see() is None
     assert len(run.places) == 0
+
+
+def test_scans_that_each_deny_a_part_agree_on_nothing() -> None:
+    """As those of a corridor that is seen from the wrong end: each of them is probable, none of them good."""
+    run = Run({"here": set(range(8)), "there": set()}, denied=0.03)
+    assert [run.see(HERE) for _ in range(8)] == [None] * 8
+    assert "5 of 3 scans" in run.places.describe()
