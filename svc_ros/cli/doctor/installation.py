@@ -38,6 +38,7 @@ _REQUIRED = {  # module -> how to install it
 }
 _OPTIONAL = {  # module -> what it is for, how to install it
     "laspy": ("LAS and LAZ scans", "pip install 'laspy[lazrs]'"),
+    "pye57": ("E57 scans", "pip install pye57"),
     "plotly": ("HTML reports", "pip install plotly"),
     "evo": ("errors of trajectories: replay --reference", "pip install 'evo>=1.30'"),
     "gtsam": ("optimised pose graphs", "pip install 'svc_ros[graph]'"),

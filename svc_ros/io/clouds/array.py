@@ -23,8 +23,13 @@ _DEFLATE_EXPANSION = 1032  # most bytes that one compressed byte can stand for
 def points_from_bin(data: bytes, layout: Layout | None) -> RawPoints:
     """Parse points without a header, little-endian; layout: their columns, None: those that the numbers tell.
 
-    UnsupportedCloudError where the bytes are no whole number of points, or the numbers do not tell the columns.
+    UnsupportedCloudError where the bytes are no whole number of points, or the numbers tell no columns or others.
     """
+    other = contradicts(data, layout) if layout else None
+    if other:
+        raise UnsupportedCloudError(
+            f"expected columns {layout}, as --columns or the name .pcd.bin says, found numbers of {other}; {NAME_THEM}"
+        )
     layout = layout or guess_layout(data)
     if len(data) % layout.point_bytes or not data:
         raise UnsupportedCloudError(
@@ -36,10 +41,7 @@ def points_from_bin(data: bytes, layout: Layout | None) -> RawPoints:
 
 
 def points_from_nuscenes(data: bytes, layout: Layout | None) -> RawPoints:
-    """The same for nuScenes' files, whose columns their name tells; refused where the numbers tell others."""
-    other = contradicts(data, NUSCENES) if layout is None else None
-    if other:
-        raise UnsupportedCloudError(f"expected columns {NUSCENES} by the name, found {other}; {NAME_THEM}")
+    """The same for nuScenes' files, whose columns their name tells."""
     return points_from_bin(data, layout or NUSCENES)
 
 

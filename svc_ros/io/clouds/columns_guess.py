@@ -21,13 +21,15 @@ LARGEST_M = 1e7  # map coordinates are smaller, times since 1970 larger
 
 _NUM_COLUMNS = (3, 4, 5, 6)
 _MOST_COLUMNS = 16  # that are looked for, so that other layouts are known as such
-_FEWEST_VALUES = 512  # below, chance looks like columns
+_FEWEST_VALUES = 512  # below, chance looks like columns; KITTI's are the likely ones and need fewer
+_FEWEST_FOR_KITTI = 16
 _BLOCKS, _BLOCK_VALUES = 8, 2048  # of the file are looked at
 _MOST_BINS = 24
 _LEAST_BITS = 0.05  # that the place in the point has to tell about a value
 _SAME_BITS = 0.85  # of the most that any number of columns tells: a multiple of the right one tells some more
 _TINIEST = 1e-6  # [m] apart from zero: bytes of another type hardly ever lie between this and the largest
 _MOST_ODD = 0.02  # share of such values in a coordinate
+_MOST_TORN = 0.5  # share of points of which one or two coordinates are NaN
 _BOTH_SIGNS = 0.02  # share of either sign, above which a column has both
 _FEWEST_DISTINCT = 200  # values in a coordinate; labels, rings and 8 bit intensities have fewer or little more
 _SMALLEST_SPAN = 0.3  # [m] of a coordinate; times of a sweep have less
@@ -91,13 +93,14 @@ def _fitting(data: bytes, type_name: str) -> Layout | None:
     values = np.frombuffer(data, dtype, len(data) // dtype.itemsize)
     if len(values) < _FEWEST_VALUES or _are_halves(data) != (type_name == "float64"):
         return None
-    bits = _bits_by_columns(values)
-    period = int(np.flatnonzero(bits >= _SAME_BITS * bits.max())[0]) + 1
+    period = _period(values)
+    if not period:
+        return None
     rows = values[: len(values) // period * period].reshape(-1, period)
     sample = np.asarray(rows[:: max(1, len(rows) // _BLOCK_VALUES)], np.float64)
     divisors = [d for d in range(2, period) if period % d == 0]
     num_columns = next((d for d in divisors if _repeats(sample, d)), period)
-    if bits.max() < _LEAST_BITS or num_columns not in _NUM_COLUMNS:
+    if num_columns not in _NUM_COLUMNS:
         return None
     if num_columns == 3 < period and not _have_both_signs(sample[:, 3:5]).all():
         return None  # 6 columns of which two happen to be large
@@ -132,11 +135,24 @@ def _repeats(rows: Array, num_columns: int) -> bool:
 
 
 def _fitting_few(data: bytes) -> list[Layout]:
-    """KITTI's layout if no other fits so few numbers, else all that do."""
-    layouts = [_layout_of(k, type_name) for type_name in ("float32", "float64") for k in _NUM_COLUMNS]
-    whole = [layout for layout in layouts if data and not len(data) % layout.point_bytes]
-    fitting = [layout for layout in whole if _are_lengths(np.asarray(_table(data, layout)[:, :3], np.float64))]
-    return fitting if len(fitting) > 1 or fitting == [KITTI] else []
+    """KITTI's layout if no other fits so few numbers, or its columns tell most; else all that fit."""
+    if not data:
+        return []
+    layouts = [_layout_of(k, "float64" if _are_halves(data) else "float32") for k in _NUM_COLUMNS]
+    whole = [layout for layout in layouts if not len(data) % layout.point_bytes]
+    tables = [np.asarray(_table(data, layout)[:, :3], np.float64) for layout in whole]
+    told = [_are_lengths(xyz) and np.isfinite(xyz).all(axis=1).mean() > 0.5 for xyz in tables]
+    fitting = [layout for layout, fits in zip(whole, told, strict=True) if fits]
+    values = np.frombuffer(data, KITTI.dtype, len(data) // KITTI.dtype.itemsize)
+    if fitting == [KITTI] or (KITTI in fitting and len(values) >= _FEWEST_FOR_KITTI and _period(values) == 4):
+        return [KITTI]
+    return fitting if len(fitting) > 1 else []
+
+
+def _period(values: NDArray[Any]) -> int:
+    """Number of columns that tells most about the values, 0 where none tells anything."""
+    bits = _bits_by_columns(values)
+    return int(np.flatnonzero(bits >= _SAME_BITS * bits.max())[0]) + 1 if bits.max() >= _LEAST_BITS else 0
 
 
 def _bits_by_columns(values: NDArray[Any]) -> Array:
@@ -178,7 +194,7 @@ def _are_lengths(xyz: Array) -> bool:
     sizes = np.abs(xyz[finite])
     odd = ((sizes < _TINIEST) & (sizes > 0)) | (sizes > LARGEST_M)
     torn = finite.any(axis=1) & ~finite.all(axis=1)
-    return bool(len(sizes) and odd.mean() <= _MOST_ODD and torn.mean() <= 0.5)
+    return bool(len(sizes) and odd.mean() <= _MOST_ODD and torn.mean() <= _MOST_TORN)
 
 
 def _are_coordinates(xyz: Array) -> bool:

@@ -18,6 +18,10 @@ _SIZES_OFFSET = 94
 _NUM_EVLRS_OFFSET = 243  # present from LAS 1.4 on, whose header has 375 bytes
 _VLR_BYTES, _EVLR_BYTES = 54, 60
 _COMPRESSED = 0x80
+_LAZ_RECORD, _LAZ_RECORD_START = b"laszip encoded\0\0", 52  # bytes from the name to what it is the name of
+_LAZ_RECORD_SIZES = struct.Struct("<12xI16xH")  # points a chunk, number of items; then type, bytes, version of each
+_MOST_POINT_BYTES = 4096  # a format has 67 at most, and what a writer adds hardly more than these
+_CHUNKS_OF_ANY_SIZE = 0xFFFFFFFF
 _SMALLEST_CHUNK = 20  # bytes: its first point is stored as it is
 
 
@@ -59,8 +63,25 @@ def _check_header(data: bytes) -> bool:
         if num_evlrs * _EVLR_BYTES > len(data):
             raise UnsupportedCloudError(f"expected {num_evlrs} extended records, found {len(data)} bytes in all")
     if point_format & _COMPRESSED:
+        _check_compression(data[:start], len(data))
         _check_chunk_table(data, start)
     return bool(point_format & _COMPRESSED)
+
+
+def _check_compression(header: bytes, num_bytes: int) -> None:
+    """Refuse chunks and points of sizes that there cannot be: the decompressor takes memory for a whole one of each."""
+    record = header[header.find(_LAZ_RECORD) + _LAZ_RECORD_START :] if _LAZ_RECORD in header else b""
+    if len(record) < _LAZ_RECORD_SIZES.size:
+        return  # which laspy refuses
+    size, num_items = _LAZ_RECORD_SIZES.unpack_from(record)
+    if size != _CHUNKS_OF_ANY_SIZE and size > max(num_bytes, _CHUNK):
+        raise UnsupportedCloudError(f"expected LAZ chunks within {num_bytes} bytes, found chunks of {size} points")
+    at = _LAZ_RECORD_SIZES.size
+    items = np.frombuffer(record, "<u2", min(3 * num_items, (len(record) - at) // 2), at)
+    if items[1::3].sum() > _MOST_POINT_BYTES:
+        raise UnsupportedCloudError(
+            f"expected LAZ points of at most {_MOST_POINT_BYTES} bytes, found {items[1::3].sum()}"
+        )
 
 
 def _check_chunk_table(data: bytes, start: int) -> None:

@@ -156,7 +156,8 @@ def _wanted(head: _Head, layout: Layout | None, width: int) -> list[int]:
         return [0, 1, 2]
     if len(names) != width:
         raise UnsupportedCloudError(
-            f"expected {len(names)} values a point ({', '.join(names):.80}), found {width} at line {head.first + 1}"
+            f"expected {len(names)} values a point ({'--columns ' if layout else ''}{', '.join(names):.80}), "
+            f"found {width} at line {head.first + 1}"
         )
     return xyz_places(names)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scan_file_checks import POINTS, assert_read, assert_refused, write
 
-from svc_ros.core.errors import ConfigError
+from svc_ros.core.errors import ConfigError, UnsupportedCloudError
 from svc_ros.io.clouds.files import read_scan
 
 
@@ -136,18 +136,22 @@ def test_a_name_that_the_numbers_contradict_is_refused(tmp_path: Path) -> None:
     table = np.c_[points, more_columns(points, "of a driver")].astype("<f4")
     assert_read(write(tmp_path / "scan.pcd.bin", table[:, :5].tobytes()), points)
     path = write(tmp_path / "scan.pcd.bin", table[:, :4].tobytes())
-    assert_refused(path, "intensity ring by the name, found float32 x y z intensity;", "--columns")
+    assert_refused(path, "intensity ring, as --columns or the name .pcd.bin says, found numbers of float32 x y z")
     np.testing.assert_array_equal(read_scan(path, "x,y,z,intensity").points, points)
+    for columns in ("x,y,z", "x,y,z,i,r,t", "float64,x,y,z"):
+        with pytest.raises(UnsupportedCloudError, match="found numbers of float32 x y z intensity;"):
+            read_scan(path, columns)
 
 
 def test_the_look_takes_a_hundredth_of_a_second(tmp_path: Path) -> None:
     points = room(num_rings=64, num_steps=1900)
     data = np.c_[points, more_columns(points, "of KITTI")[:, :1]].astype("<f4").tobytes()
     path = write(tmp_path / "scan.bin", data)
+    np.save(tmp_path / "scan.npy", points)
 
-    def seconds(columns: str) -> float:
+    def seconds(path: Path) -> float:
         start = time.process_time()
-        read_scan(path, columns)
+        read_scan(path)
         return time.process_time() - start
 
-    assert min(seconds("") for _ in range(5)) < min(seconds("x y z intensity") for _ in range(5)) + 0.05
+    assert min(seconds(path) for _ in range(5)) < min(seconds(tmp_path / "scan.npy") for _ in range(5)) + 0.05

@@ -59,6 +59,22 @@ def test_laz_that_claims_too_many_chunks(tmp_path: Path) -> None:
     assert_refused(write(tmp_path / "scan.laz", bytes(data)), "LAZ chunks")
 
 
+def test_laz_that_claims_too_large_chunks(tmp_path: Path) -> None:
+    data = bytearray(las(tmp_path / "scan.laz", POINTS).read_bytes())
+    place = data.index(b"laszip encoded") + 64
+    assert struct.unpack_from("<I", data, place) == (50_000,)
+    struct.pack_into("<I", data, place, 0x2300C350)
+    assert_refused(write(tmp_path / "scan.laz", bytes(data)), "chunks of 587252560 points")
+
+
+def test_laz_that_claims_too_large_points(tmp_path: Path) -> None:
+    data = bytearray(las(tmp_path / "scan.laz", POINTS).read_bytes())
+    place = data.index(b"laszip encoded") + 88
+    assert struct.unpack_from("<H", data, place) == (20,)  # bytes of a point's first part
+    struct.pack_into("<H", data, place, 60_000)
+    assert_refused(write(tmp_path / "scan.laz", bytes(data)), "LAZ points of at most 4096 bytes")
+
+
 @pytest.mark.parametrize(("kind", "refused"), [("PanicException", True), ("KeyboardInterrupt", False)])
 def test_laz_on_whose_bytes_the_backend_panics(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, refused: bool
