@@ -47,10 +47,8 @@ def check_bag(
         findings = [_check_topic(info) for info in bag.topics]
         if not names:
             return [*findings, _no_clouds(bag.topics), *_damage(bag)]
-        if len(names) > 1:
-            advice = "svc_ros replay and the node take one of them, or one each for source and target: name it"
-            findings.append(Finding("cloud topics", "ok", ", ".join(names), advice))
         tree, problem = _transforms(bag)
+        findings += _check_choice(names)
         for name in names:
             notes = take_notes(bag, name, partial(_sensor_origin, tree, sensor_frame))
             findings += _check_cloud_topic(name, notes, tree, trial, sensor_frame)
@@ -108,6 +106,13 @@ def _check_cloud_topic(
     if trial and not any(check.level == "error" for check in checks):
         checks += try_pairs(notes.pairs, suggest_preset(notes).preset)
     return [Finding(f"{name} {check.name}", check.level, check.found, check.advice) for check in checks]
+
+
+def _check_choice(topics: Sequence[str]) -> list[Finding]:
+    if len(topics) == 1:
+        return []
+    advice = "svc_ros replay and the node take one of them, or one each for source and target: name it"
+    return [Finding("cloud topics", "ok", ", ".join(topics), advice)]
 
 
 def _check_number(notes: CloudNotes) -> list[Finding]:

@@ -42,12 +42,20 @@ def explain_ranges(points: Array, sensor_origin: Array, config: PreprocessConfig
     seen = np.clip(points - sensor_origin, -_BEYOND_ALL_M, _BEYOND_ALL_M)
     ranges = np.linalg.norm(seen, axis=1)
     reach = float(np.quantile(ranges, _NEARLY_ALL))
-    if np.mean(ranges < config.min_range_m) >= _MOST:
+    near, far = float(np.mean(ranges < config.min_range_m)), float(np.mean(ranges > config.max_range_m))
+    if near >= _MOST:
         return (
             f"98 % of the points lie within {reach:.3g} m: scaled (kilometres, or to a size of one), or "
             f"preprocess.min_range_m ({config.min_range_m:g} m) is too large"
         )
-    return _explain_far(seen, reach, config) if np.mean(ranges > config.max_range_m) >= _MOST else ""
+    if far >= _MOST:
+        return _explain_far(seen, reach, config)
+    if near + far < _MOST:
+        return ""
+    return (
+        f"{near:.0%} of the points lie nearer than preprocess.min_range_m ({config.min_range_m:g} m), {far:.0%} beyond "
+        f"preprocess.max_range_m ({config.max_range_m:g} m): set both to the sensor"
+    )
 
 
 def _explain_far(seen: Array, reach: float, config: PreprocessConfig) -> str:
@@ -67,7 +75,7 @@ def _explain_far(seen: Array, reach: float, config: PreprocessConfig) -> str:
         may_be_mm = _LOOKING_CLOSE_MM[0] < reach < _LOOKING_CLOSE_MM[1]
         close = f", or millimetres of a sensor that looks one way, within {0.001 * reach:.2g} m" if may_be_mm else ""
         return (
-            f"the points lie within {size:.3g} m of ({x:.6g}, {y:.6g}, {z:.6g}), {away:.3g} m from where the sensor is "
+            f"the points lie within {size:.3g} m of ({x:.8g}, {y:.8g}, {z:.8g}), {away:.3g} m from where the sensor is "
             f"taken to be: coordinates of a map or UTM{close}: give them in the sensor's frame, or tell where it stood "
             "(--sensor-frame, sensor_frame or sensor_origin)"
         )

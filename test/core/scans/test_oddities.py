@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -48,7 +49,8 @@ class TestOutOfRange:
     def test_coordinates_of_a_map_are_told_with_the_place(self) -> None:
         hint = why_few(STREET + UTM)
         assert "coordinates of a map or UTM" in hint
-        assert "(500000, 5.4e+06, " in hint
+        told = np.array(re.findall(r"\((\S+), (\S+), (\S+)\)", hint)[0], float)
+        np.testing.assert_allclose(told, np.median(STREET + UTM, axis=0), atol=0.5)
         assert "millimetres" not in hint
 
     def test_something_near_in_millimetres_may_be_a_map_too_and_both_are_named(self) -> None:
@@ -67,6 +69,12 @@ class TestOutOfRange:
     @pytest.mark.parametrize("factor", [1e-3, 1e-2])
     def test_a_cloud_that_was_scaled_down(self, factor: float) -> None:
         assert "scaled (kilometres, or to a size of one)" in why_few(factor * STREET)
+
+    def test_both_limits_at_once(self) -> None:
+        directions = STREET / np.linalg.norm(STREET, axis=1, keepdims=True)
+        ranges = np.resize([0.5, 0.5, 20.0, 150.0, 150.0], len(STREET))[:, None]
+        few = (directions[:450] * ranges[:450])
+        assert "40% of the points lie nearer than preprocess.min_range_m (1 m), 40% beyond" in why_few(few)
 
     def test_feet_are_a_larger_place_and_nothing_is_said(self) -> None:
         assert explain_scan(prepare(Scan(3.2808 * STREET), CONFIG)) == ""
