@@ -162,7 +162,7 @@ class WaitingPlaces:
         rivals = [place for place in others if place.num_silent == 0 or place.balance > near]
         is_agreed = first.num_silent == 0 and first.balance >= limits.agreeing_scans and not rivals
         # What looks like the place looks so to the next scan, too: they count as the root of their number.
-        if is_agreed and math.sqrt(limits.agreeing_scans) * first.odds >= _CHANCE:
+        if is_agreed and math.sqrt(len(first.agreeing)) * first.odds >= _CHANCE:
             return first.latest, False
         is_found = any(is_same_place(first.latest.T_map_scan, p.T_map_scan, self._config) for p in found)
         is_alone = is_found and not others and not first.denying and self._is_sure(first.latest)
