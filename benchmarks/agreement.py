@@ -3,9 +3,10 @@
     python benchmarks/agreement.py RUN... [--seeds N] [--name NAME] [--out DIR]
 
 RUN: folders of `svc_ros replay --mode loop_closure --reference ...`. Wrong loops are put among the right ones that the
-run accepted, by several seeds: `scattered` (three, anywhere within reach), `half` (as many as there are right ones) and
-`family` (five neighbours in a row that are all off by the same 4 m, as in a corridor that repeats). Odometry is that of
-the run, and the same with drift added. Writes NAME.json.
+run accepted, by several seeds: `scattered` (three, anywhere within reach), `half` (as many as there are right ones),
+`family` (five neighbours in a row that are all off by the same 4 m, as in a corridor that repeats) and `undecided
+family` (the same, left undecided on their pairs with a probability of 0.7, which only the agreement takes at all).
+Odometry is that of the run, and the same with drift added. Writes NAME.json.
 """
 
 from __future__ import annotations
@@ -23,17 +24,19 @@ from scipy.spatial.transform import Rotation
 
 from svc_ros.core import se3
 from svc_ros.core.config import Config, preset
+from svc_ros.core.result import Reason
 from svc_ros.io.results import read_jsonl, result_from_json
 from svc_ros.io.trajectories import Trajectory, read_tum
 from svc_ros.pipeline.agreement import Agreement, last_words
 from svc_ros.pipeline.graph_optimisation import factors_of, load_gtsam, optimiser_parameters
 from svc_ros.pipeline.pose_graph import build_pose_graph
-from svc_ros.pipeline.stream import StreamDecision
+from svc_ros.pipeline.stream import StreamDecision, leave_undecided
 
 MAX_DEG, MAX_M = 5.0, 0.6  # a right loop is nearer than that to the reference
 DRIFTS = {"as recorded": (0.0, 0.0), "2 %, 0.5 deg/m": (0.02, 0.5)}
 CONSISTENT = 16.8  # 99 % of the squared errors of six degrees of freedom
 FAMILY, FAMILY_M = 5, 4.0
+UNDECIDED = "undecided family"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -80,7 +83,9 @@ def off(loop: StreamDecision, T: np.ndarray, probability: float) -> StreamDecisi
 
 
 def wrong_loops(run: Run, kind: str, rng: np.random.Generator) -> list[StreamDecision]:
-    """Wrong loops of one kind, accepted like the right ones."""
+    """Wrong loops of one kind, accepted like the right ones, or undecided."""
+    if kind == UNDECIDED:
+        return [_left_undecided(loop) for loop in wrong_loops(run, "family", rng)]
     stamps = run.odometry.stamps_ns
     if kind == "family":
         first = int(rng.integers(0, len(run.loops) - FAMILY + 1))
@@ -99,6 +104,11 @@ def wrong_loops(run: Run, kind: str, rng: np.random.Generator) -> list[StreamDec
         T = se3.make_pose(turn, (*rng.uniform(-reach, reach, 2), 0.0))
         found.append(dataclasses.replace(off(like, T, float(rng.uniform(0.86, 0.99))), target_stamp_ns=target))
     return found
+
+
+def _left_undecided(loop: StreamDecision) -> StreamDecision:
+    likely = dataclasses.replace(loop.result, probability=0.7)
+    return dataclasses.replace(loop, result=leave_undecided(likely, Reason.INSUFFICIENT_EVIDENCE, "not sure enough"))
 
 
 def _other(loop: StreamDecision, stamps: np.ndarray) -> int:
@@ -177,7 +187,7 @@ def main() -> None:
     rows = [
         {"odometry": drift, "injected": kind, "method": method, **counts}
         for drift, how in DRIFTS.items()
-        for kind in ("scattered", "half", "family")
+        for kind in ("scattered", "half", "family", UNDECIDED)
         for method, counts in compare(runs, kind, how, options.seeds).items()
     ]
     print_table("Loops kept", ("odometry, wrong loops, method", *list(rows[0])[3:]), [
@@ -198,12 +208,14 @@ def compare(runs: Sequence[Run], kind: str, drift: tuple[float, float], num_seed
             wrong = list({_pair(d): d for d in wrong if _pair(d) not in right}.values())
             loops = [_placed(d, odometry) for d in sorted([*run.loops, *wrong], key=_pair)]
             for name, keep in METHODS.items():
+                if kind == UNDECIDED and name != "agreement":
+                    continue
                 kept = keep(loops, odometry, run.config)
                 totals[name]["right_kept"] += len(kept & right)
                 totals[name]["wrong_kept"] += len(kept - right)
                 totals[name]["right"] += len(right)
                 totals[name]["wrong"] += len(wrong)
-    return totals
+    return {name: counts for name, counts in totals.items() if counts["right"]}
 
 
 def _placed(loop: StreamDecision, odometry: Trajectory) -> StreamDecision:

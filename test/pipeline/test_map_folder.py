@@ -166,6 +166,12 @@ def cut(name: str) -> Callable[[Path], None]:
     return lambda folder: (folder / name).write_bytes((folder / name).read_bytes()[:-7])
 
 
+def zeroed(name: str, at: int) -> Callable[[Path], object]:
+    return lambda folder: (folder / name).write_bytes(
+        (data := (folder / name).read_bytes())[:at] + b"\x00" + data[at + 1 :]
+    )
+
+
 def without(name: str) -> Callable[[Path], None]:
     return lambda folder: (folder / name).unlink()
 
@@ -208,6 +214,7 @@ def setting_field(field: str, value: int) -> Callable[[np.ndarray], None]:
         (without("points.npy"), "points.npy: cannot be read: No such file"),
         (text("points.npy", ""), "points.npy: expected a .npy file, found another"),
         (text("normals.npy", "no array at all"), "normals.npy: expected a .npy file, found another"),
+        *((zeroed("poses.npy", at), "poses.npy: expected a .npy file, found another") for at in (3, 20, 40)),
         *((cut(f"{name}.npy"), rf"{name}.npy: expected \d+ bytes, found \d+") for name in ARRAYS),
         (array("points.npy", lambda a: a.astype(np.float32)), "points.npy: expected float64 .* found float32"),
         (array("poses.npy", lambda a: a[:3]), r"poses.npy: expected float64 of shape \(5, 4, 4\), found .*\(3, 4, 4\)"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -80,7 +81,7 @@ class ArrayFile:
             shape, fortran, dtype = npy.read_array_header_1_0(self._file)
         except InputError:
             raise
-        except (ValueError, EOFError, SyntaxError) as error:
+        except (ValueError, EOFError, SyntaxError, TokenError) as error:  # the header is read as Python's source
             raise InputError(f"{path}: expected a .npy file, found another one: {error}") from None
         if (dtype, shape, fortran) != (self._dtype, self._shape, False):
             order = " in Fortran order" if fortran else ""
