@@ -68,8 +68,10 @@ def guess_layout(data: bytes) -> Layout:
 
 def contradicts(data: bytes, layout: Layout) -> Layout | None:
     """Another layout that the numbers clearly are of, None where they do not clearly contradict."""
+    if len(data) < _FEWEST_VALUES * layout.dtype.itemsize or _is_nothing(_table(data, layout)[:, layout.xyz]):
+        return None
     try:
-        found = guess_layout(data) if len(data) >= _FEWEST_VALUES * layout.dtype.itemsize else layout
+        found = guess_layout(data)
     except UnsupportedCloudError:
         return None
     return found if (found.dtype, len(found.names)) != (layout.dtype, len(layout.names)) else None

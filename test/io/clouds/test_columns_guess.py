@@ -125,6 +125,12 @@ def test_columns_that_are_named_win(tmp_path: Path, columns: str, type_name: str
         np.testing.assert_array_equal(read_scan(path, f"{type_name} {columns}").points, POINTS)
 
 
+def test_named_columns_without_a_usable_point(tmp_path: Path) -> None:
+    path = write(tmp_path / "scan.bin", np.full((960, 6), np.nan, "<f4").tobytes())
+    with pytest.raises(UnsupportedCloudError, match=r"none that are usable \(960 stored, 960 NaN"):
+        read_scan(path, "x,y,z,intensity,ring,time")
+
+
 @pytest.mark.parametrize("columns", ["x y", "x y z x", "float16 x y z", "xyz", "intensity", "float64"])
 def test_names_that_are_none(tmp_path: Path, columns: str) -> None:
     with pytest.raises(ConfigError, match=r"columns: expected names .* such as x,y,z,intensity"):
