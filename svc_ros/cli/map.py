@@ -90,7 +90,8 @@ def _runs(jobs: Sequence[ReplayJob], names: Sequence[str]) -> Iterator[Run]:
             if settled is None:
                 settled = job.settled(bag, topic)
             job = replace(job, config=settled.config, preset=settled.base)
-            yield Run(name, _scans(bag, open_replay(job, bag, topic, ()), on_progress), job.config)
+            with open_replay(job, bag, topic, ()) as replay:
+                yield Run(name, _scans(bag, replay, on_progress), job.config)
 
 
 def _scans(bag: Bag, replay: Replay, on_progress: ProgressCallback) -> Iterator[Tracked]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 
 from svc_ros.core.errors import InputError, MissingDependencyError
@@ -46,10 +47,11 @@ class Replay:
     localiser: Localiser | None = None
 
 
-def open_replay(job: ReplayJob, bag: Bag, topic: str, known: Sequence[ReplayedPair]) -> Replay:
+@contextmanager
+def open_replay(job: ReplayJob, bag: Bag, topic: str, known: Sequence[ReplayedPair]) -> Iterator[Replay]:
     """Look at all inputs before anything is written. Raises InputError, ConfigError and MissingDependencyError.
 
-    known: see `steps_of`.
+    known: see `steps_of`. A map stays open until the end of the `with` block.
     """
     if job.report and importlib.util.find_spec("plotly") is None:
         raise MissingDependencyError("report.html needs plotly: pip install plotly, or replay with --no-report")
@@ -60,10 +62,13 @@ def open_replay(job: ReplayJob, bag: Bag, topic: str, known: Sequence[ReplayedPa
     share = (last - first + 1) / (end - begin + 1)
     num_expected = max(1, round(share * bag.num_scans(topic) / every))
     closer = LoopCloser(job.config, KnownLoops(known)) if job.mode == "loop_closure" else None
-    localiser = None if job.map_folder is None else Localiser(Map.read(job.map_folder), job.config)
     odometry = _odometry(job, bag) if job.mode in WITH_ODOMETRY else None
-    track = _track(job, closer, localiser)
-    return Replay(topic, part, track, _reference(job, bag), num_expected, closer, odometry, localiser)
+    reference = _reference(job, bag)
+    with ExitStack() as opened:
+        keyframes = None if job.map_folder is None else opened.enter_context(closing(Map.read(job.map_folder)))
+        localiser = None if keyframes is None else Localiser(keyframes, job.config)
+        track = _track(job, closer, localiser)
+        yield Replay(topic, part, track, reference, num_expected, closer, odometry, localiser)
 
 
 def steps_of(job: ReplayJob, replay: Replay, bag: Bag, known: Sequence[ReplayedPair]) -> Generator[ReplayStep]:

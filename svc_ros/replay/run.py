@@ -6,7 +6,7 @@ Read `replay_bag`: open, decide, write, summarise.
 from __future__ import annotations
 
 import time
-from contextlib import closing
+from contextlib import ExitStack, closing
 from typing import Any
 
 from svc_ros.core.errors import SvcError
@@ -33,7 +33,7 @@ def replay_bag(
     complete outputs whose summary has the state `interrupted`. Raises InputError, ConfigError and
     MissingDependencyError; of a bag that breaks off there are complete outputs, too, and the state is `failed`.
     """
-    with Bag(job.bag, job.strict) as bag:
+    with Bag(job.bag, job.strict) as bag, ExitStack() as opened:
         topic = bag.resolve_cloud_topic(job.topic)
         job = job.settled(bag, topic)
         config_text = config_to_yaml(job.config, job.base)
@@ -41,7 +41,7 @@ def replay_bag(
         if earlier.finished:
             return dict(earlier.finished)
         known = earlier.decisions()
-        replay = open_replay(job, bag, topic, known)
+        replay = opened.enter_context(open_replay(job, bag, topic, known))
         folder, pace = RunFolder(job, replay, earlier), _Pace(job.max_rate_hz, should_stop or _never)
         folder.begin(config_text)
         try:

@@ -52,10 +52,13 @@ def read_damaged(
 ) -> Counter[str]:
     """How many of the damaged copies of `sample` were `read` and how many `refused` by an SvcError that names them.
 
-    `read` is called with the path of each copy, in another process that may take `most_bytes` more memory than after
-    it read the whole sample. AssertionError, with the seed, for any other error, a crash, a hang, or more memory.
+    `read`, a function of a module, is called with the path of each copy, in another process that may take `most_bytes`
+    more memory than after it read the whole sample. AssertionError, with the seed, for any other error, a crash, a
+    hang, or more memory.
     """
-    context = multiprocessing.get_context("fork")
+    # Not by a fork of this process: threads of libraries that have been at work here would be missing in it.
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["svc_ros.io.bags", "svc_ros.io.clouds.files"])
     here, there = context.Pipe(duplex=False)
     reader = context.Process(target=_read_all, args=(read, sample, folder, seeds, most_bytes, there), daemon=True)
     reader.start()

@@ -101,9 +101,13 @@ class LocalizationEngine:
         Raises InputError for a folder that is no map, what `take` raises, MissingDependencyError for own odometry.
         """
         keyframes, own_odometry = Map.read(settings.map_folder), settings.odometry == "own"
-        take(keyframes.config)
-        if own_odometry:
-            odometry_by_matching(keyframes.config)  # a package that is missing is said now, not with the first scan
+        try:
+            take(keyframes.config)
+            if own_odometry:
+                odometry_by_matching(keyframes.config)  # a package that is missing is said now, not with the first scan
+        except BaseException:
+            keyframes.close()
+            raise
         return cls(sources, keyframes, own_odometry)
 
     def process(self, job: Job, config: Config) -> list[Decision]:

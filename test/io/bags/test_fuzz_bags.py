@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -27,18 +27,14 @@ def read_all(path: Path) -> None:
         str(bag.damage)
 
 
-def read_with_metadata(sample: Path) -> Callable[[Path], None]:
-    """Reads the sample bag with a metadata.yaml of its own, in a folder of that file's name."""
-
-    def read(metadata: Path) -> None:
-        folder = metadata.parent / "bags" / metadata.name
-        folder.mkdir(parents=True, exist_ok=True)
-        for file in sample.glob("*.mcap"):
-            (folder / file.name).write_bytes(file.read_bytes())
-        (folder / "metadata.yaml").write_bytes(metadata.read_bytes())
-        read_all(folder)
-
-    return read
+def read_with_metadata(sample: Path, metadata: Path) -> None:
+    """Read the sample bag with a metadata.yaml of its own, in a folder of that file's name."""
+    folder = metadata.parent / "bags" / metadata.name
+    folder.mkdir(parents=True, exist_ok=True)
+    for file in sample.glob("*.mcap"):
+        (folder / file.name).write_bytes(file.read_bytes())
+    (folder / "metadata.yaml").write_bytes(metadata.read_bytes())
+    read_all(folder)
 
 
 def check(tmp_path: Path, storage: str, seeds: range) -> None:
@@ -55,7 +51,7 @@ def check_metadata(tmp_path: Path, seeds: range) -> None:
     path = record(tmp_path / "drive", "mcap", three_clouds)
     folder = tmp_path / "damaged"
     folder.mkdir()
-    counts = read_damaged(read_with_metadata(path), path / "metadata.yaml", folder, seeds, MOST_BYTES)
+    counts = read_damaged(partial(read_with_metadata, path), path / "metadata.yaml", folder, seeds, MOST_BYTES)
     assert counts == {"read": len(seeds)}  # every file that it may name is beside it
 
 
