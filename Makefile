@@ -7,6 +7,8 @@ MODE := $(if $(ROS_DISTRO)$(AMENT_PREFIX_PATH),apt,wheels)
 PY := .venv/bin/python
 # Processes that run tests side by side, each with one thread of BLAS; the tests of one file stay together.
 WORKERS ?= 4
+# Tests over the middleware wait most of their time: begun first, they leave no processor idle at the end.
+FOLDERS = test/ros $(filter-out test/ros,$(patsubst %/,%,$(wildcard test/*/)))
 STAMP := .venv/.ready-$(MODE)
 BENCHMARKS := $(sort $(wildcard benchmarks/*.py))
 
@@ -36,7 +38,7 @@ type: setup
 	$(PY) -m mypy
 
 test: setup
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PY) -m pytest -m "not slow" -n $(WORKERS) --dist loadfile
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PY) -m pytest -m "not slow" -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(FOLDERS)
 
 test-slow: setup
 	$(PY) -m pytest -m slow

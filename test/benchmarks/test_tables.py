@@ -103,6 +103,7 @@ def test_missing_results_are_named(tables, tmp_path, monkeypatch, capsys):
     assert tables.main([]) == 2
 
 
+@pytest.mark.slow
 def test_the_picture_is_drawn_from_the_configuration(tmp_path):
     pictures = module_from(PROJECT_ROOT / "tools" / "decision_pictures.py")
     pictures.draw_border(tmp_path / "border.png")

@@ -147,7 +147,10 @@ def test_traffic_before_a_sensor_of_16_beams_leaves_some_pairs_open():
     assert all(is_right(r, p.T) for r, p in zip(results, pairs, strict=True) if r.accepted)
 
 
-@pytest.mark.parametrize(("sensor", "seed"), [("OS0-64", 2), ("OS0-64", 10), ("OS1-64", 3), ("VLP-16", 1)])
+@pytest.mark.parametrize(
+    ("sensor", "seed"),
+    [("OS0-64", 2), pytest.param("OS0-64", 10, marks=pytest.mark.slow), ("OS1-64", 3), ("VLP-16", 1)],
+)
 def test_rooms_of_two_buildings_that_look_alike_are_not_accepted(sensor, seed):
     """Corridors and rooms of about equal size: much agrees, little is blocked, but nothing fits tightly."""
     scans = list(drive_scans(DriveConfig("indoor", sensor, 9, 0.5, 2.0, seed, teleport_after=5)))

@@ -189,7 +189,8 @@ def answer_of(decision: StreamDecision) -> str:
     return json.dumps([{key: value for key, value in told.items() if key != "time_ms"}, decision.origin, bits])
 
 
-@pytest.mark.parametrize("with_odometry", [pytest.param(True, marks=pytest.mark.slow), False])
+@pytest.mark.slow
+@pytest.mark.parametrize("with_odometry", [True, False])
 def test_judging_in_several_threads_gives_the_same_bits(with_odometry: bool) -> None:
     """Of keyframes that several questions share as targets, and that are a source and a target at once."""
     values = {"loop_closure.min_gap_s": 1.0, "loop_closure.max_near": 2, "loop_closure.max_similar": 2,
@@ -226,6 +227,7 @@ def test_an_exception_while_judging_is_a_decision() -> None:
     assert [d.source_stamp_ns // S for d in decisions] == [5, 6, 7, 8, 9]
 
 
+@pytest.mark.slow
 def test_forced_candidates_between_different_streets_are_not_accepted(shared_data: Path) -> None:
     dataset = read_dataset(shared_data / "pairs" / "hdl64_kitti_negatives")
     config = with_values(preset(dataset.preset), {"preprocess.min_range_m": dataset.min_range_m})

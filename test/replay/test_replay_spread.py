@@ -118,6 +118,7 @@ def test_ctrl_c_keeps_what_was_done(bags, workers, tmp_path):
     assert len(done.summaries) == 1
 
 
+@pytest.mark.slow
 def test_folders_that_cannot_be_made_are_told_before_the_work(bags, workers, tmp_path):
     (tmp_path / "file").write_text("")
     job = ReplayJob(bags[0], tmp_path / "file" / "below", preset("lidar_indoor"))

@@ -305,7 +305,8 @@ def test_a_candidate_that_cannot_be_used_says_which_side(bench, player):
     assert decision["detail"].startswith("target: ")
 
 
-@pytest.mark.parametrize("count", [2, pytest.param(12, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [2, 12])
 def test_candidates_between_different_places_are_not_accepted(shared_data, bench, player, count):
     read = read_dataset(shared_data / "pairs" / "hdl64_kitti_negatives")
     for k, pair in enumerate(read.negatives[:count]):

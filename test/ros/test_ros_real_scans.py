@@ -80,6 +80,7 @@ def test_plays_real_scans_and_gets_one_decision_a_pair(shared_data, bench):
     assert all(bench.answers.rejected[k - 1] for k in negatives)
 
 
+@pytest.mark.slow
 def test_pairs_that_a_driver_sends_best_effort_all_arrive_and_are_decided_rightly(shared_data, tmp_path, monkeypatch):
     largest = largest_socket_buffer()
     if largest is not None and largest < SOCKET_BUFFER:
@@ -108,6 +109,7 @@ def test_pairs_that_a_driver_sends_best_effort_all_arrive_and_are_decided_rightl
         assert (rotation_deg < 5.0, translation_m < 0.6) == (True, True)
 
 
+@pytest.mark.slow
 def test_ctrl_c_in_the_middle_of_a_pair_ends_the_node(shared_data, bench):
     case = read_cases(shared_data)[0]
     for stamp in (1, 2, 3):

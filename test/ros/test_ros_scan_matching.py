@@ -276,6 +276,7 @@ def test_at_ten_times_the_rate_the_newest_win_and_the_counts_are_right_at_every_
     assert len({d["source_stamp"] for d in bench.answers.decisions}) == num_played
 
 
+@pytest.mark.slow
 def test_ctrl_c_in_the_middle_of_a_scan_ends_the_node(shared_data, tmp_path):
     clouds = recorded_clouds(shared_data / "bags" / KITTI)[:6]
     with StreamBench(tmp_path, own_domain_id(13), {"mode": "scan_matching", "process_every": "true"}) as bench:
