@@ -1,4 +1,4 @@
-"""Loops of simulated drives: right ones where the way leads back, none in a corridor that only looks alike."""
+"""Loops of simulated drives: right ones where the way leads back, and to what is still in sight; no wrong one."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.slow
     ("scene", "sensor", "preset_name", "seed", "returns", "least"),
     [
         pytest.param("indoor", "OS0-64", "lidar_indoor", 0, True, 16, id="corridor-and-back"),
-        pytest.param("indoor", "OS0-64", "lidar_indoor", 1, False, 0, id="corridor-one-way"),
+        pytest.param("indoor", "OS0-64", "lidar_indoor", 1, False, 20, id="corridor-one-way"),
         pytest.param("street", "OS1-64", "lidar_outdoor", 0, True, 20, id="street-and-back"),
     ],
 )
@@ -34,8 +34,7 @@ def test_right_loops_are_accepted_and_no_wrong_one(
     ))  # fmt: skip
     assert summary["false_loops"] == 0
     assert summary["verdicts"]["accepted"] >= least
-    if not returns:
-        assert summary["verdicts"]["accepted"] == 0
+    if not returns:  # such loops say what odometry says
         return
     errors = [summary["reference"], summary["reference"]["optimized"]]
     before, after = (numbers["ape"]["translation_m"]["rmse"] for numbers in errors)
