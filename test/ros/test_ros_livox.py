@@ -54,10 +54,7 @@ def livox(monkeypatch):
 
 
 class Driver:
-    """A node that publishes on one topic, called `livox_lidar_publisher`.
-
-    Gone when the host knows it: one that starts in the same millisecond at the same ports is not always found.
-    """
+    """A node that publishes on one topic, called `livox_lidar_publisher`; gone when the host knows it."""
 
     def __init__(self, host: Host, kind, topic: str = "/points") -> None:
         self._host, self._topic, self._context = host, topic, Context()

@@ -11,12 +11,11 @@ from svc_ros.cli.doctor.notes import CloudNotes
 from svc_ros.core.auto_preset import NEAREST_M, Choice, choose_by_outlooks
 from svc_ros.core.config import PreprocessConfig
 from svc_ros.core.scan import Array
-from svc_ros.core.scans.oddities import explain_crossed, explain_few_points, explain_ranges, explain_shape
+from svc_ros.core.scans.oddities import FARTHEST_M, explain_crossed, explain_few_points, explain_ranges, explain_shape
 from svc_ros.core.scans.preprocess import crop_range, thin_on_voxel_grid
 
 _MANY = 0.5  # share of dropped points above which somebody should look
 _HERE = np.zeros(3)  # points of a view are relative to the sensor
-_FARTHEST_M = 1000.0  # no sensor of these presets reaches farther
 _LONGEST_SWEEP_S = 0.5
 _CUT = 0.2  # share of points outside the preset's ranges above which its values do not fit
 
@@ -115,7 +114,7 @@ def _check_preset(notes: CloudNotes) -> list[Finding]:
     choice = suggest_preset(notes)
     config = choice.config.preprocess
     reach = f"98 % of the points within {choice.outlook.reach_m:.3g} m" if choice.outlook else ""
-    if choice.outlook is None or choice.outlook.reach_m >= _FARTHEST_M:
+    if choice.outlook is None or choice.outlook.reach_m >= FARTHEST_M:
         why = next(filter(None, (explain_ranges(view.points, _HERE, config) for view in notes.views)), "")
         found = reach or f"no point beyond {NEAREST_M:g} m"
         return [Finding("scale", "error", found, f"expected metres: {why or 'some points lie far outside'}")]

@@ -11,8 +11,9 @@ import numpy as np
 from svc_ros.core.config import PreprocessConfig
 from svc_ros.core.scan import Array, PreparedScan
 
+FARTHEST_M = 1000.0  # no sensor of the presets sees a wider place
+
 _MOST_CROSSED = 0.12  # scans seen from their own sensor have up to 0.09
-_FARTHEST_M = 1000.0  # no sensor of the presets sees a wider place
 _NEARLY_ALL = 0.98
 _MOST = 0.5  # share of the points that lies out of range, where that is what few are left for
 _AWAY = 2.0  # times as far from the sensor as it is large: a cloud that is not around its sensor, nor before it
@@ -63,8 +64,8 @@ def _explain_far(seen: Array, reach: float, config: PreprocessConfig) -> str:
     centre = np.median(seen, axis=0)
     size = float(np.quantile(np.linalg.norm(seen - centre, axis=1), _NEARLY_ALL))
     away = float(np.linalg.norm(centre))
-    if size > _FARTHEST_M:
-        if reach > 1000.0 * _FARTHEST_M:
+    if size > FARTHEST_M:
+        if reach > 1000.0 * FARTHEST_M:
             return f"98 % of the points lie within {reach:.3g} m: neither metres nor millimetres"
         return (
             f"98 % of the points lie within {reach:.3g} m, farther than any sensor sees: millimetres? "
