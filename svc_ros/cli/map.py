@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -58,23 +59,24 @@ def map(
 
     check_map_place(out)
     paths, wanted = expand_bags(bags), read_wanted(preset, None, config_file)
-    extended = None if extend is None else Map.read(extend)
     config, name = wanted.first_fit(), wanted.preset
-    if extended is not None:
-        if preset is not None:
-            raise InputError(f"--preset {preset}: expected none beside --extend, the map has its own configuration")
-        config, name = wanted.over(extended.config), str(extend)
-        if config_file is not None:
-            check_preprocess(config_file, config.preprocess, asdict(extended.config.preprocess))
-    jobs = [
-        ReplayJob(
-            path, out, config, name, "loop_closure", topic, start, duration, sensor_frame=sensor_frame,
-            odometry_frame=odometry_frame, report=False, values=wanted.given, strict=strict,
-        )
-        for path in paths
-    ]  # fmt: skip
-    made = build_map(_runs(jobs, folder_names(paths)), out, extended)
-    summary_console(None).print(key_value_table(f"map {out}", _rows(made)))
+    with ExitStack() as opened:
+        extended = None if extend is None else opened.enter_context(Map.read(extend))
+        if extended is not None:
+            if preset is not None:
+                raise InputError(f"--preset {preset}: expected none beside --extend, the map has its own configuration")
+            config, name = wanted.over(extended.config), str(extend)
+            if config_file is not None:
+                check_preprocess(config_file, config.preprocess, asdict(extended.config.preprocess))
+        jobs = [
+            ReplayJob(
+                path, out, config, name, "loop_closure", topic, start, duration, sensor_frame=sensor_frame,
+                odometry_frame=odometry_frame, report=False, values=wanted.given, strict=strict,
+            )
+            for path in paths
+        ]  # fmt: skip
+        made = opened.enter_context(build_map(_runs(jobs, folder_names(paths)), out, extended))
+        summary_console(None).print(key_value_table(f"map {out}", _rows(made)))
 
 
 def _runs(jobs: Sequence[ReplayJob], names: Sequence[str]) -> Iterator[Run]:

@@ -6,6 +6,7 @@ import dataclasses
 import threading
 from collections import OrderedDict
 from pathlib import Path
+from types import TracebackType
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,7 +25,7 @@ _MAX_KEPT = 64  # keyframes in memory, with what was computed of them
 
 
 class Map:
-    """Keyframes where they stood; safe for use from several threads.
+    """Keyframes where they stood; safe for use from several threads, and a context that closes it.
 
     Scans stay on disk and are read when they are asked for; the last of them are kept. Where a keyframe
     stands is `T_map_scan`, and as a Keyframe's `T_odom_scan` it is that, too: the map is the frame of both.
@@ -118,6 +119,14 @@ class Map:
             with self._lock:
                 scan = self._files.scan(index)
             writer.add(scan, self._files.looks[index], first_session + int(self.sessions[index]))
+
+    def __enter__(self) -> Map:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
 
     def close(self) -> None:
         """Give the files back; keyframes that are held stay usable."""

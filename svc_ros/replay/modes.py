@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Generator, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 from svc_ros.core.errors import InputError, MissingDependencyError
@@ -65,7 +65,7 @@ def open_replay(job: ReplayJob, bag: Bag, topic: str, known: Sequence[ReplayedPa
     odometry = _odometry(job, bag) if job.mode in WITH_ODOMETRY else None
     reference = _reference(job, bag)
     with ExitStack() as opened:
-        keyframes = None if job.map_folder is None else opened.enter_context(closing(Map.read(job.map_folder)))
+        keyframes = None if job.map_folder is None else opened.enter_context(Map.read(job.map_folder))
         localiser = None if keyframes is None else Localiser(keyframes, job.config)
         track = _track(job, closer, localiser)
         yield Replay(topic, part, track, reference, num_expected, closer, odometry, localiser)

@@ -68,6 +68,8 @@ class RegistrationNode(LifecycleNode):
     def destroy_node(self) -> None:
         """Stop, if nobody did, and give everything back."""
         self.stop(_FORGOTTEN_S)
+        if self._session is not None:
+            self._session.close_files()
         super().destroy_node()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:

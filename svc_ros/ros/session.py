@@ -107,6 +107,10 @@ class Session:
             if part is not None:
                 part.destroy()
         self._node.destroy_publisher(self._diagnostics)
+        self.close_files()
+
+    def close_files(self) -> None:
+        """Give back what the engine reads from, which is not the node's."""
         if isinstance(self.engine, LocalizationEngine):
             self.engine.close()
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from assertions import assert_same_pose
+from assertions import assert_given_back, assert_same_pose
 from command_line import assert_refused, run
 from replay_cases import WAY, write_room_bag
 
@@ -38,7 +38,9 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_bag_becomes_a_map_which_further_bags_extend(bag: Path, config: Path, tmp_path: Path) -> None:
     first = run("map", bag, "--out", tmp_path / "map", "--config", config, "--duration", "0.35", *ODOMETRY)
     assert first.exit_code == 0, first.output
-    found = Map.read(tmp_path / "map")
+    assert_given_back(tmp_path / "map")
+    with Map.read(tmp_path / "map") as found:
+        assert found.keyframe(0).scan.frame_id == "lidar"
     assert [each.source for each in found.runs] == ["room"]
     assert found.config.loop_closure.keyframe_distance_m == 0.2
     for T, truth in zip(found.poses, [WAY[0], *WAY[2:4]], strict=True):  # the second cloud is broken
@@ -46,7 +48,10 @@ def test_a_bag_becomes_a_map_which_further_bags_extend(bag: Path, config: Path, 
 
     second = run("map", bag, "--out", tmp_path / "more", "--extend", tmp_path / "map", "--start", "0.35", *ODOMETRY)
     assert second.exit_code == 0, second.output
-    whole = Map.read(tmp_path / "more")
+    assert_given_back(tmp_path / "map")
+    assert_given_back(tmp_path / "more")
+    with Map.read(tmp_path / "more") as whole:
+        assert len(whole) == 6
     assert whole.sessions.tolist() == [0, 0, 0, 1, 1, 1]
     assert whole.config == found.config
     assert "loops between runs" in second.stdout

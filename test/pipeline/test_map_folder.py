@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from assertions import assert_same_bits
+from assertions import assert_given_back, assert_same_bits
 from map_cases import CONFIG, STANDS, S, room_graph, write_room_map
 
 from svc_ros.core.config import with_values
@@ -109,6 +109,13 @@ def test_keyframes_in_memory_are_bounded(
     found.keyframe(2)  # the one that was asked for longest ago leaves
     assert found.keyframe(0) is first
     assert found.keyframe(1) is not second
+
+
+def test_a_map_gives_its_files_back(copied: Path) -> None:
+    with Map.read(copied) as found, pytest.raises(AssertionError, match=r"points\.npy"):
+        assert_given_back(copied)
+    assert_given_back(copied)
+    assert len(found.near(STANDS[1], 2.6, 5)) == 3  # what is small is in memory
 
 
 def test_keyframes_that_are_held_take_no_file_handles(

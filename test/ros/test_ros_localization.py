@@ -5,10 +5,12 @@ from __future__ import annotations
 import contextlib
 import json
 import sys
+from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
+from assertions import assert_given_back
 
 pytest.importorskip("rclpy", reason="needs rclpy (pip install svc_ros[ros])")
 
@@ -55,10 +57,11 @@ def room(tmp_path_factory):
 
 
 @pytest.fixture
-def host(monkeypatch):
+def host(monkeypatch, room):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     with contextlib.closing(Host(own_domain_id(110))) as host:
         yield host
+    assert_given_back(Path(room))
 
 
 def start(host: Host, folder: str, **parameters):
@@ -139,11 +142,15 @@ def assert_near(T: np.ndarray, expected: np.ndarray) -> None:
 
 def test_a_drive_is_found_and_followed_as_the_library_does_it(host, room):
     start(host, room, odometry="topic")
-    robot, localiser = Robot(host), Localiser(Map.read(room), CONFIG)
-    for k, T in enumerate(WAY[:4]):
-        message = seen_from(k)
-        (told,) = robot.see(message, T)
-        (expected,) = localiser.add(scan_from_cloud(message).scan, T_ODOM_MAP @ T)
+    robot, messages = Robot(host), [seen_from(k) for k in range(4)]
+    with Map.read(room) as known:
+        localiser = Localiser(known, CONFIG)
+        expectations = [
+            localiser.add(scan_from_cloud(message).scan, T_ODOM_MAP @ T)
+            for message, T in zip(messages, WAY, strict=False)
+        ]
+    for k, (expected,) in enumerate(expectations):
+        (told,) = robot.see(messages[k], WAY[k])
         assert told["origin"] == expected.origin == ("motion" if k else "place")
         values = decision_values(expected.result, expected.source_stamp_ns, expected.target_stamp_ns)
         assert {name: told[name] for name in values if "_ms" not in name} == (

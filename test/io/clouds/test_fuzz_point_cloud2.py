@@ -198,7 +198,7 @@ def check(cloud: Cloud) -> str:
     return "read"
 
 
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error", "ignore::ResourceWarning")
 @pytest.mark.parametrize("batch", [k if k < 3 else pytest.param(k, marks=pytest.mark.slow) for k in range(NUM_BATCHES)])
 def test_malformed_clouds_are_refused_by_name_or_read_rightly(batch: int) -> None:
     outcomes: Counter[str] = Counter()

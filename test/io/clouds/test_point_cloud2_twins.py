@@ -77,7 +77,7 @@ def mutated_clouds(draw: st.DrawFn) -> Cloud:
     return cloud
 
 
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error", "ignore::ResourceWarning")
 @settings(max_examples=200, derandomize=True, deadline=None)
 @given(right_clouds())
 def test_every_right_layout_is_read_as_the_slow_twin_reads_it(cloud: Cloud) -> None:
@@ -87,7 +87,7 @@ def test_every_right_layout_is_read_as_the_slow_twin_reads_it(cloud: Cloud) -> N
     assert reading.num_points == num_points == len(expected) + reading.num_dropped_nan + reading.num_dropped_zero
 
 
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error", "ignore::ResourceWarning")
 @settings(max_examples=600, derandomize=True, deadline=None)
 @given(mutated_clouds())
 def test_every_other_layout_is_read_as_the_slow_twin_reads_it_or_refused(cloud: Cloud) -> None:
