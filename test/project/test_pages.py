@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 
 import pytest
+from command_line import run
 from pages import COMMANDS, PAGES, anchors, blocks, code, invocations, prose, shell_lines
 from places import PROJECT_ROOT
 
@@ -41,8 +40,8 @@ def test_links_that_lead_nowhere_are_found():
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_commands_take_these_options(command):
-    done = subprocess.run([sys.executable, "-m", "svc_ros", command, "--help"], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    done = run(command, "--help")
+    assert done.exit_code == 0, done.stderr
     used = [words for text in PAGES.values() for words in invocations(text) if words[0] == command]
     options = {word for words in used for word in words if word.startswith("--")}
     assert used

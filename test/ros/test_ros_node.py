@@ -25,6 +25,7 @@ from yardstick import PATIENCE_S, assert_ends_within  # noqa: E402
 from svc_ros.core.result import Reason, RegistrationResult, Verdict  # noqa: E402
 from svc_ros.core.se3 import apply, pose_error  # noqa: E402
 from svc_ros.io.clouds.point_cloud2 import scan_from_cloud  # noqa: E402
+from svc_ros.ros import node  # noqa: E402
 from svc_ros.ros.collector import DecisionCollector, spin_until  # noqa: E402
 from svc_ros.ros.processes import ChildProcess, local_environment, own_domain_id  # noqa: E402
 from svc_ros.ros.topics.conversions import pose_message  # noqa: E402
@@ -293,16 +294,23 @@ def test_every_pair_has_one_decision_and_only_accepted_ones_a_transform(bench):
     assert bench.answers.rejected.count(False) == verdicts.count("accepted")
 
 
-@pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("moment", ["warming up", "ready:"])
+@pytest.mark.parametrize(
+    ("moment", "signum"),
+    [
+        ("warming up", signal.SIGTERM),
+        ("ready:", signal.SIGINT),
+        pytest.param("warming up", signal.SIGINT, marks=pytest.mark.slow),
+        pytest.param("ready:", signal.SIGTERM, marks=pytest.mark.slow),
+    ],
+)
 def test_node_ends_with_exit_code_0_within_two_seconds(tmp_path, signum, moment):
     environment = local_environment(own_domain_id(2))
-    with ChildProcess("svc_ros.ros.node", [], environment, tmp_path / "log") as node:
+    with ChildProcess("svc_ros.ros.node", [], environment, tmp_path / "log") as process:
         end = time.monotonic() + PATIENCE_S
-        while moment not in node.output() and time.monotonic() < end:
+        while moment not in process.output() and time.monotonic() < end:
             time.sleep(0.05)
-        assert_ends_within(2.0, node, signum)
-        assert "Traceback" not in node.output()
+        assert_ends_within(2.0, process, signum)
+        assert "Traceback" not in process.output()
 
 
 @pytest.mark.parametrize(
@@ -320,12 +328,24 @@ def test_node_ends_with_exit_code_0_within_two_seconds(tmp_path, signum, moment)
         ("qos_overrides./source_points.subscription.reliability:=reliabel", "qos_overrides./source_points: "),
     ],
 )
-def test_refused_parameter_at_start_is_one_line_and_exit_code_2(tmp_path, parameter, text):
+def test_refused_parameter_at_start_is_one_line_and_exit_code_2(monkeypatch, capfd, parameter, text):
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(own_domain_id(3)))
+    monkeypatch.setattr(node, "_on_signals", lambda _handle: None)  # they are pytest's
+    monkeypatch.setattr(node, "_spin", lambda *_: pytest.fail("the node started"))
+    assert node.main(["--ros-args", *(word for each in parameter.split(" -p ") for word in ("-p", each))]) == 2
+    assert_told(capfd.readouterr().err, text)
+
+
+def test_a_process_that_is_refused_at_start_ends_with_exit_code_2(tmp_path):
     environment = local_environment(own_domain_id(3))
-    words = ["--ros-args", *(word for setting in parameter.split(" -p ") for word in ("-p", setting))]
-    with ChildProcess("svc_ros.ros.node", words, environment, tmp_path / "log") as node:
-        assert node.wait(PATIENCE_S) == 2
-        lines = [line for line in node.output().splitlines() if text in line]
-        assert len(lines) == 1
-        assert lines[0].startswith("registration_node: ")
-        assert "Traceback" not in node.output()
+    words = ["--ros-args", "-p", "preset:=lidar_outdor"]
+    with ChildProcess("svc_ros.ros.node", words, environment, tmp_path / "log") as process:
+        assert process.wait(PATIENCE_S) == 2
+        assert_told(process.output(), "did you mean 'lidar_outdoor'")
+
+
+def assert_told(output: str, text: str) -> None:
+    lines = [line for line in output.splitlines() if text in line]
+    assert len(lines) == 1, output
+    assert lines[0].startswith("registration_node: ")
+    assert "Traceback" not in output

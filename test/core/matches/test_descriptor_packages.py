@@ -138,7 +138,9 @@ def describe(scan, config):
 """
 
 
-@pytest.mark.parametrize("pair", KITTI_PAIRS)
+@pytest.mark.parametrize(
+    "pair", [p if k < 4 else pytest.param(p, marks=pytest.mark.slow) for k, p in enumerate(KITTI_PAIRS)]
+)
 def test_real_correspondences_come_through_a_description(shared_data, pair, tmp_path, monkeypatch, fresh_names):
     """Row k of the source looks like row k of the target and like nothing else; FPFH is not asked at all."""
     folder = shared_data / "correspondences" / "kitti_10m_fpfh"
