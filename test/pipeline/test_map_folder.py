@@ -222,6 +222,7 @@ def setting_field(field: str, value: int) -> Callable[[np.ndarray], None]:
         (text("points.npy", ""), "points.npy: expected a .npy file, found another"),
         (text("normals.npy", "no array at all"), "normals.npy: expected a .npy file, found another"),
         *((zeroed("poses.npy", at), "poses.npy: expected a .npy file, found another") for at in (3, 20, 40)),
+        (zeroed("poses.npy", 6), "poses.npy: .* expected version 1 or 2 of NumPy.s format, found 0.0"),
         *((cut(f"{name}.npy"), rf"{name}.npy: expected \d+ bytes, found \d+") for name in ARRAYS),
         (array("points.npy", lambda a: a.astype(np.float32)), "points.npy: expected float64 .* found float32"),
         (array("poses.npy", lambda a: a[:3]), r"poses.npy: expected float64 of shape \(5, 4, 4\), found .*\(3, 4, 4\)"),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import tokenize
 import zipfile
 from typing import IO, Any
 
@@ -15,6 +14,7 @@ from svc_ros.core.errors import UnsupportedCloudError
 from svc_ros.io.clouds.columns import RawPoints, xyz_places
 from svc_ros.io.clouds.columns_guess import NAME_THEM, contradicts, guess_layout
 from svc_ros.io.clouds.layout import NUSCENES, Layout
+from svc_ros.io.npy_header import read_npy_header
 
 _MOST_COLUMNS = 16  # more columns than this is an array of something else, or transposed
 _DEFLATE_EXPANSION = 1032  # most bytes that one compressed byte can stand for
@@ -71,12 +71,8 @@ def points_from_npz(data: bytes) -> RawPoints:
 def _read_array(stream: IO[bytes], num_bytes: int) -> NDArray[Any]:
     """Read one .npy stream of `num_bytes`; the size that its header declares is compared before memory is taken."""
     try:
-        major, _minor = np.lib.format.read_magic(stream)
-        if major not in (1, 2):
-            raise ValueError(f"expected format version 1 or 2, found {major}")
-        read = np.lib.format.read_array_header_1_0 if major == 1 else np.lib.format.read_array_header_2_0
-        shape, fortran_order, dtype = read(stream)
-    except (ValueError, EOFError, SyntaxError, tokenize.TokenError) as error:
+        shape, fortran_order, dtype = read_npy_header(stream)
+    except ValueError as error:
         raise UnsupportedCloudError(f"not a saved NumPy array: {error!s:.160}") from None
     if dtype.hasobject:
         raise UnsupportedCloudError("expected an array of numbers, found Python objects (pickles are never loaded)")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from svc_ros.core.errors import InputError
+from svc_ros.io.npy_header import read_npy_header
 
 Shape = tuple[int, ...]
 
@@ -75,13 +75,8 @@ class ArrayFile:
     def _check(self) -> None:
         path = self._path
         try:
-            version = npy.read_magic(self._file)
-            if version != (1, 0):
-                raise InputError(f"{path}: expected version 1.0 of NumPy's format, found {version[0]}.{version[1]}")
-            shape, fortran, dtype = npy.read_array_header_1_0(self._file)
-        except InputError:
-            raise
-        except (ValueError, EOFError, SyntaxError, TokenError) as error:  # the header is read as Python's source
+            shape, fortran, dtype = read_npy_header(self._file)
+        except ValueError as error:
             raise InputError(f"{path}: expected a .npy file, found another one: {error}") from None
         if (dtype, shape, fortran) != (self._dtype, self._shape, False):
             order = " in Fortran order" if fortran else ""

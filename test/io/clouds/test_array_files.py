@@ -99,6 +99,12 @@ def test_npy_with_a_header_that_is_no_python(tmp_path: Path) -> None:
     assert_refused(write(tmp_path / "scan.npy", broken), "not a saved NumPy array")
 
 
+def test_npy_of_another_version(tmp_path: Path) -> None:
+    data = npy(POINTS)
+    other = write(tmp_path / "scan.npy", data[:6] + b"\3" + data[7:])
+    assert_refused(other, "expected version 1 or 2 of NumPy's format, found 3.0")
+
+
 def test_npy_that_claims_too_many_points(tmp_path: Path) -> None:
     stream = io.BytesIO()
     header = {"descr": "<f8", "fortran_order": False, "shape": (10**12, 3)}
