@@ -115,7 +115,8 @@ def test_the_same_correspondences_give_the_same_bits():
 
 
 def turned(sequence: str, *angles_deg: float) -> np.ndarray:
-    return se3.make_pose(Rotation.from_euler(sequence, angles_deg, degrees=True).as_matrix(), (30.0, -5.0, 1.0))
+    turn = Rotation.from_euler(sequence, angles_deg, degrees=True).as_matrix().reshape(3, 3)  # a stack in older scipy
+    return se3.make_pose(turn, (30.0, -5.0, 1.0))
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 90.0, 179.9, 180.0, -30.0])
