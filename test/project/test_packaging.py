@@ -159,7 +159,7 @@ class TestDeclarations:
 class TestInstallation:
     """pip must make the scripts of a venv although setup.cfg sends colcon's to lib/svc_ros."""
 
-    @pytest.mark.parametrize("editable", [True, False])
+    @pytest.mark.parametrize("editable", [pytest.param(True, marks=pytest.mark.slow), False])
     def test_pip_makes_the_scripts(self, tmp_path: Path, editable: bool) -> None:
         source = tmp_path / "source"
         shutil.copytree(PROJECT_ROOT, source, ignore=NOT_COPIED)

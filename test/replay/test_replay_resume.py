@@ -73,7 +73,10 @@ def test_a_continued_run_is_the_uninterrupted_one(
     assert read_decisions(tmp_path)[: len(before)] == before  # with the times that they took then
 
 
-@pytest.mark.parametrize(("mode", "num_scans"), MODES_AND_STOPS)
+@pytest.mark.parametrize(
+    ("mode", "num_scans"),
+    [each if each[0] == "loop_closure" else pytest.param(*each, marks=pytest.mark.slow) for each in MODES_AND_STOPS],
+)
 def test_a_killed_run_is_continued_from_its_last_whole_line(
     bag: Path, whole: dict[str, Path], tmp_path: Path, mode: str, num_scans: int
 ) -> None:

@@ -107,6 +107,7 @@ def test_bags_of_a_lost_worker_are_replayed_by_another(bags, tmp_path):
         assert records[f"{k}"] == records[f"{k + 3}"]
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_what_was_done(bags, workers, tmp_path):
     jobs = [ReplayJob(bag, tmp_path / bag.parent.name, preset("lidar_indoor"), report=False) for bag in bags]
 

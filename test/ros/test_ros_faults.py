@@ -127,6 +127,7 @@ def test_publishers_that_die_are_replaced_by_the_next(bench):
     assert bench.decide(cloud(SCANS[1], 401.0), cloud(SCANS[0], 401.0))["verdict"] == "accepted"
 
 
+@pytest.mark.slow
 def test_a_publisher_whose_qos_does_not_fit_is_an_error_in_diagnostics(bench):
     found = []
 

@@ -176,7 +176,9 @@ def test_a_stream_whose_stamps_never_move_is_dropped_and_goes_on_when_they_do(tm
         assert bench.decide(cloud(SCANS[0], 0.2))["origin"] == "start"
 
 
-@pytest.mark.parametrize("mode", ["pair", "scan_matching", pytest.param("loop_closure", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "mode", ["scan_matching", *(pytest.param(mode, marks=pytest.mark.slow) for mode in ("pair", "loop_closure"))]
+)
 def test_big_clouds_that_come_fast_leave_the_executor_alive(host, mode):
     """300,000 points ten times a second: callbacks take them in, and services answer meanwhile."""
     host.start(mode=mode, process_every=False)

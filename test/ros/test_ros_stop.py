@@ -39,7 +39,7 @@ def test_a_signal_while_it_imports_is_exit_code_0(tmp_path, number):
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")
 
 
-@pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("signum", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_a_signal_while_it_warms_up_is_exit_code_0_and_quiet(tmp_path, signum):
     with ChildProcess("svc_ros.ros.node", [], local_environment(own_domain_id(62)), tmp_path / "log") as node:
         while "warming up" not in node.output():

@@ -45,7 +45,7 @@ def test_blocked_lines_of_random_scans_equal_all_pairs(seed, cosine):
 )
 def test_blocked_lines_of_real_scans_equal_all_pairs(shared_data, name, config):
     source, target, T, settings = real_pair(shared_data, name, index=2)
-    source, target = (thin(preprocess(scan, settings.preprocess), 3000) for scan in (source, target))
+    source, target = (thin(preprocess(scan, settings.preprocess), 1500) for scan in (source, target))
     shifted = T @ se3.make_pose(np.eye(3), (1.5, 0.7, 0.2))
     total = 0
     for pose in (T, shifted):

@@ -70,7 +70,7 @@ def test_blocked_lines_of_random_scans_equal_all_pairs(origin, config):
 @pytest.mark.parametrize("name", ["os1_64_seosan", "hdl64_kitti_a"])
 def test_blocked_lines_of_real_scans_equal_all_pairs(shared_data, name):
     source, target, T, settings = real_pair(shared_data, name)
-    source, target = (thin(preprocess(scan, settings.preprocess), 2000) for scan in (source, target))
+    source, target = (thin(preprocess(scan, settings.preprocess), 1400) for scan in (source, target))
     shifted = T @ se3.make_pose(np.eye(3), (1.0, 1.0, 0.3))
     assert sum(check_both_ways(source, target, pose, MIDDLE) for pose in (T, shifted)) > 0
 
